@@ -177,7 +177,7 @@ contains
   end subroutine warm_up_case
 
   !> Runs a case for about `one%seconds` of processor time, and measures its rates. The number of
-  !> visits is that of crossings and of particles turned back.
+  !> visits is that of crossings and of particles reversed.
   subroutine run_round(one, runner, rate)
     type(case_type), intent(in) :: one
     type(runner_type), intent(inout) :: runner

@@ -5,7 +5,7 @@ module battery_bench_visits
   use battery_bench_rows, only: rate_type
   use battery_clocks, only: cpu_seconds
   use battery_random, only: hashed_uniform
-  use battery_table, only: table_type, gated, ungated
+  use battery_table, only: table_type, channel1, channel2
   use battery_urn, only: urn_type, compute_visits
   use battery_visits, only: visits_type, reserve_visits
   implicit none (type, external)
@@ -45,15 +45,15 @@ contains
         sine = 2.0_wp*hashed_uniform(int(j, int64), int(2*k + 1, int64)) - 1.0_wp
         entrances%u_lateral(j, k) = sine
         entrances%u_axial(j, k) = sqrt((1.0_wp - sine)*(1.0_wp + sine))
-        if (place < width(gated)) then
-          entrances%channel(j, k) = gated
-          entrances%x(j, k) = table%urn(1)%chord(gated)
-          entrances%y(j, k) = place - 0.5_wp*width(gated)
+        if (place < width(channel1)) then
+          entrances%channel(j, k) = channel1
+          entrances%x(j, k) = table%urn(1)%chord(channel1)
+          entrances%y(j, k) = place - 0.5_wp*width(channel1)
           entrances%u_axial(j, k) = -entrances%u_axial(j, k)
         else
-          entrances%channel(j, k) = ungated
-          entrances%x(j, k) = -table%urn(1)%chord(ungated)
-          entrances%y(j, k) = place - width(gated) - 0.5_wp*width(ungated)
+          entrances%channel(j, k) = channel2
+          entrances%x(j, k) = -table%urn(1)%chord(channel2)
+          entrances%y(j, k) = place - width(channel1) - 0.5_wp*width(channel2)
         end if
       end do
     end do

@@ -5,7 +5,7 @@ module battery_probe_photon
   use battery_kinds, only: wp, int64
   use battery_error, only: error_type
   use battery_table, only: table_type, urn_type, channel_type, new_table, shape_circuit, &
-    is_scattered
+    has_scatterers
   use battery_engine, only: engine_type, particles_type
   use battery_event_record, only: event_record_type
   use battery_engines, only: new_engine
@@ -27,7 +27,7 @@ contains
     real(wp) :: elapsed, distance
 
     table = table_of_mirrors()
-    if (.not. is_scattered(table)) error stop 'no mirrors'
+    if (.not. has_scatterers(table)) error stop 'no mirrors'
     photon%x = [0.5_wp - table%urn(1)%periodic_line]
     photon%y = [0.1_wp]
     photon%ux = [1.0_wp]

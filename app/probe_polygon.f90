@@ -8,7 +8,7 @@
 !> height and of the length are K_y = (l + r) K_u/|u_x| and K_l = (l + r) K_u + |u_y| K_y.
 module battery_probe_polygon
   use battery_kinds, only: wp
-  use battery_channel, only: channel_type, gated, ungated, facing
+  use battery_channel, only: channel_type, channel1, channel2, facing
   use battery_corners, only: distance_to_side
   use battery_polygon, only: polygon_type, find_next_side_robustly, reflect_from_side
   use battery_table, only: table_type, new_table, shape_circuit, urn_type
@@ -43,8 +43,8 @@ contains
       call stop_with_message('the urn is disc, or corners x1,y1,x2,y2,...')
     urn%shape = shape_polygon
     urn%corner = reshape(rounded_to_bits(numbers, bits), [2, size(numbers)/2])
-    table = new_table(shape_circuit, [urn, urn], [channel_type(width(gated), 1.0_wp), &
-      channel_type(width(ungated), 1.0_wp)])
+    table = new_table(shape_circuit, [urn, urn], [channel_type(width(channel1), 1.0_wp), &
+      channel_type(width(channel2), 1.0_wp)])
     if (.not. table%urn(1)%fits) call &
       stop_with_message('where the axis leaves the urn it must be '//'upright, and wide enough')
   end function polygon_table

@@ -14,7 +14,7 @@
 module battery_probe_visits
   use battery_kinds, only: wp, dp, int64
   use battery_text, only: to_text
-  use battery_table, only: table_type, gated, ungated
+  use battery_table, only: table_type, channel1, channel2
   use battery_random, only: hashed_uniform
   use battery_urn, only: compute_visits, shape_polygon
   use battery_visits, only: visits_type, reserve_visits
@@ -141,7 +141,7 @@ contains
     width2 = table%channel(2)%width
     position = (width1 + width2)*rounded_uniform(k, 1_int64, bits)
     sine = 2.0_wp*rounded_uniform(k, 2_int64, bits) - 1.0_wp
-    channel = merge(gated, ungated, position < width1)
+    channel = merge(channel1, channel2, position < width1)
     y = merge(position - 0.5_wp*width1, position - width1 - 0.5_wp*width2, position < width1)
     x = merge(table%urn(1)%chord(1), -table%urn(1)%chord(2), position < width1)
     ux = merge(-1.0_wp, 1.0_wp, position < width1)*sqrt((1.0_wp - sine)*(1.0_wp + sine))
@@ -153,8 +153,8 @@ contains
     integer(int64), intent(in) :: channel
     real(wp) :: sign
 
-    sign = merge(1.0_wp, -1.0_wp, channel == gated)
-    if (channel /= gated .and. channel /= ungated) sign = 0.0_wp
+    sign = merge(1.0_wp, -1.0_wp, channel == channel1)
+    if (channel /= channel1 .and. channel /= channel2) sign = 0.0_wp
   end function opening_sign
 
   !> A random number, uniform in (0, 1), that all precisions with more bits than `bits` represent

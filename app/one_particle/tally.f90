@@ -1,11 +1,11 @@
-!> Counts of entries, particles turned back and crossings of walkers within a time interval, and the
+!> Counts of entries, particles reversed and crossings of walkers within a time interval, and the
 !> time integral of the number in half 2.
 !>
 !> Quantities whose sign depends on the polarity are summed over blocks of time too, since the
 !> polarity may change.
 module battery_tally
   use battery_kinds, only: wp, int64
-  use battery_table, only: ungated
+  use battery_table, only: channel2
   implicit none (type, external)
   private
   public :: tally_type, new_tally, add_entry, add_reversed, add_crossing
@@ -20,7 +20,7 @@ module battery_tally
     !> Start and end of the interval that is measured.
     real(wp) :: from = 0.0_wp, to = 0.0_wp
     integer :: copies = 1
-    !> Entries and particles turned back, by gate; crossings by (urn before it, channel).
+    !> Entries and particles reversed, by gate; crossings by (urn before it, channel).
     integer(int64) :: entries(2) = 0, reversed(2) = 0, crossings(2, 2) = 0
     !> Time integral of the number in half 2.
     real(wp) :: half2_sum = 0.0_wp
@@ -66,7 +66,7 @@ contains
     if (is_measured(tally, time)) tally%entries(urn) = tally%entries(urn) + 1
   end subroutine add_entry
 
-  !> Adds particles that the gate of an urn turns back.
+  !> Adds particles that the gate of an urn reverses.
   pure subroutine add_reversed(tally, urn, time, number)
     type(tally_type), intent(inout) :: tally
     !> The urn, 1 or 2; number of particles.
@@ -80,7 +80,7 @@ contains
   !> Adds a crossing of the middle line of a channel.
   pure subroutine add_crossing(tally, urn, channel, time)
     type(tally_type), intent(inout) :: tally
-    !> Urn that the walker comes from, 1 or 2; channel, `gated` or `ungated`.
+    !> Urn that the walker comes from, 1 or 2; channel, `channel1` or `channel2`.
     integer, intent(in) :: urn, channel
     !> Time since the start; it may be later than the present time.
     real(wp), intent(in) :: time
@@ -97,7 +97,7 @@ contains
     tally%change_integral(k) = tally%change_integral(k) + real(gain, wp)*remaining
     if (.not. is_measured(tally, time)) return
     tally%crossings(urn, channel) = tally%crossings(urn, channel) + 1
-    if (channel == ungated) tally%net_crossings(k) = tally%net_crossings(k) - gain
+    if (channel == channel2) tally%net_crossings(k) = tally%net_crossings(k) - gain
   end subroutine add_crossing
 
   !> Whether a time lies in the interval that is measured.
@@ -117,7 +117,7 @@ contains
     rate = real(tally%entries, wp)/measured_time(tally)
   end function entry_rate
 
-  !> Particles turned back by each gate, per unit time and copy.
+  !> Particles reversed by each gate, per unit time and copy.
   pure function reversed_rate(tally) result(rate)
     type(tally_type), intent(in) :: tally
     real(wp) :: rate(2)

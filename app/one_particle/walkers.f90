@@ -17,10 +17,10 @@
 !> with the exact mean.
 module battery_walkers
   use battery_kinds, only: wp, int64, pi
-  use battery_table, only: table_type, gated, ungated, urn_at, x_direction, are_mirror_images, &
-    mean_visit, shortest_excursion
+  use battery_table, only: table_type, channel1, channel2, urn_at, x_direction, are_mirror_images, &
+    mean_urn_passage, shortest_excursion
   use battery_engine, only: particles_type
-  use battery_chamber, only: cross_channels
+  use battery_urn_shape, only: cross_channels
   use battery_urn, only: compute_visits
   use battery_visits, only: visits_type, reserve_visits, no_channel
   use battery_gate, only: gate_type, new_gate, enter_gate, must_reverse, uncount_first, &
@@ -51,7 +51,7 @@ module battery_walkers
     !> Visits by (chamber, batch): `current` is the batch to be computed, the other one has the
     !> visits that follow. Urns that are mirror images are one chamber.
     type(visits_type) :: visits(2, 2)
-    integer :: chambers = 1, current = 1
+    integer :: urn_kinds = 1, current = 1
     !> Greatest length of a window; shortest excursion; mean length of a visit, by urn.
     real(wp) :: window = 0.0_wp, shortest = 0.0_wp, mean(2) = 0.0_wp
     type(draws_type) :: draws
@@ -86,11 +86,11 @@ contains
     walkers%copies = copies
     walkers%well_mixed = well_mixed
     walkers%tally = new_tally(from, to, copies, count(particles%x >= 0.0_wp))
-    walkers%chambers = merge(1, 2, are_mirror_images(table%urn))
+    walkers%urn_kinds = merge(1, 2, are_mirror_images(table%urn))
     walkers%shortest = shortest_excursion(table)
     allocate (walkers%gate(copies, 2))
     do urn = 1, 2
-      walkers%mean(urn) = mean_visit(table%urn(urn))
+      walkers%mean(urn) = mean_urn_passage(table%urn(urn))
       do copy = 1, copies
         call new_gate(walkers%gate(copy, urn), threshold(urn))
       end do
@@ -113,7 +113,7 @@ contains
     call reserve_batch(walkers, 1, size(particles%x))
     do i = 1, size(particles%x)
       urn = urn_at(walkers%table, particles%x(i))
-      associate (v => walkers%visits(min(urn, walkers%chambers), 1))
+      associate (v => walkers%visits(min(urn, walkers%urn_kinds), 1))
         v%count = v%count + 1
         v%particle(v%count) = i
         v%urn(v%count) = urn
@@ -242,8 +242,8 @@ contains
     integer :: i
 
     call uncount_first(gate, i)
-    call add_crossing(walkers%tally, urn, gated, walkers%time(i) + 0.5_wp*walkers%through(i))
-    call begin_visit_from_gate(walkers, i, walkers%table%beyond(urn), walkers%through(i))
+    call add_crossing(walkers%tally, urn, channel1, walkers%time(i) + 0.5_wp*walkers%through(i))
+    call begin_visit_from_gate(walkers, i, walkers%table%urn_across(urn), walkers%through(i))
   end subroutine cross_middle_line
 
   !> Reverses a gate: each counted walker begins a visit to the urn that it came from. Its way out
@@ -270,7 +270,7 @@ contains
     integer, intent(in) :: i, urn
     real(wp), intent(in) :: passage
 
-    call add_visit(walkers%visits(min(urn, walkers%chambers), walkers%current), i, urn, gated, &
+    call add_visit(walkers%visits(min(urn, walkers%urn_kinds), walkers%current), i, urn, channel1, &
       walkers%time(i), passage, walkers%y(i), walkers%u_axial(i), walkers%u_lateral(i))
     walkers%time(i) = huge(1.0_wp)
   end subroutine begin_visit_from_gate
@@ -297,12 +297,12 @@ contains
   !> next entry of each walker into a gate is known.
   subroutine complete_visits(walkers)
     type(walkers_type), intent(inout) :: walkers
-    integer :: chamber
+    integer :: urn_kind
 
     do while (sum(walkers%visits(:, walkers%current)%count) > 0)
-      do chamber = 1, walkers%chambers
-        associate (v => walkers%visits(chamber, walkers%current))
-          if (v%count > 0) call cross_channels(walkers%table%urn(chamber), v)
+      do urn_kind = 1, walkers%urn_kinds
+        associate (v => walkers%visits(urn_kind, walkers%current))
+          if (v%count > 0) call cross_channels(walkers%table%urn(urn_kind), v)
         end associate
       end do
       call compute_current_visits(walkers)
@@ -313,17 +313,17 @@ contains
   !> those that follow through channel 2 become the current batch.
   subroutine compute_current_visits(walkers)
     type(walkers_type), intent(inout) :: walkers
-    integer :: chamber
+    integer :: urn_kind
 
     call reserve_batch(walkers, 3 - walkers%current, sum(walkers%visits(:, &
       walkers%current)%count))
-    do chamber = 1, walkers%chambers
-      associate (v => walkers%visits(chamber, walkers%current))
+    do urn_kind = 1, walkers%urn_kinds
+      associate (v => walkers%visits(urn_kind, walkers%current))
         if (v%count == 0) cycle
         if (walkers%well_mixed) then
           call draw_visit_ends(walkers, v)
         else
-          call compute_visits(walkers%table%urn(chamber), v)
+          call compute_visits(walkers%table%urn(urn_kind), v)
         end if
         call store_entries(walkers, v)
       end associate
@@ -341,7 +341,8 @@ contains
 
     associate (width => walkers%table%channel%width, length => walkers%table%channel%length)
       do j = 1, v%count
-        channel = merge(gated, ungated, next_uniform(walkers%draws)*sum(width) < width(gated))
+        channel = merge(channel1, channel2, &
+          next_uniform(walkers%draws)*sum(width) < width(channel1))
         v%channel(j) = channel
         v%y(j) = (next_uniform(walkers%draws) - 0.5_wp)*width(channel)
         v%u_lateral(j) = 2.0_wp*next_uniform(walkers%draws) - 1.0_wp
@@ -357,7 +358,7 @@ contains
   subroutine store_entries(walkers, v)
     type(walkers_type), intent(inout) :: walkers
     type(visits_type), intent(in) :: v
-    integer :: j, i, urn, beyond
+    integer :: j, i, urn, to_urn
     real(wp) :: exit_time
 
     do j = 1, v%count
@@ -366,7 +367,7 @@ contains
       exit_time = v%time(j) + v%length(j)
       walkers%time(i) = huge(1.0_wp)
       if (v%channel(j) == no_channel) cycle
-      if (v%channel(j) == gated) then
+      if (v%channel(j) == channel1) then
         walkers%time(i) = exit_time
         walkers%urn(i) = urn
         walkers%y(i) = v%y(j)
@@ -375,10 +376,10 @@ contains
         walkers%through(i) = v%through(j)
         cycle
       end if
-      call add_crossing(walkers%tally, urn, ungated, exit_time + 0.5_wp*v%through(j))
-      beyond = walkers%table%beyond(urn)
-      call add_visit(walkers%visits(min(beyond, walkers%chambers), 3 - walkers%current), i, &
-        beyond, ungated, exit_time, v%through(j), v%y(j), v%u_axial(j), v%u_lateral(j))
+      call add_crossing(walkers%tally, urn, channel2, exit_time + 0.5_wp*v%through(j))
+      to_urn = walkers%table%urn_across(urn)
+      call add_visit(walkers%visits(min(to_urn, walkers%urn_kinds), 3 - walkers%current), i, &
+        to_urn, channel2, exit_time, v%through(j), v%y(j), v%u_axial(j), v%u_lateral(j))
     end do
   end subroutine store_entries
 
@@ -386,10 +387,10 @@ contains
   subroutine reserve_batch(walkers, batch_index, capacity)
     type(walkers_type), intent(inout) :: walkers
     integer, intent(in) :: batch_index, capacity
-    integer :: chamber
+    integer :: urn_kind
 
-    do chamber = 1, walkers%chambers
-      call reserve_visits(walkers%visits(chamber, batch_index), capacity)
+    do urn_kind = 1, walkers%urn_kinds
+      call reserve_visits(walkers%visits(urn_kind, batch_index), capacity)
     end do
   end subroutine reserve_batch
 

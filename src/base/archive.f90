@@ -1,11 +1,11 @@
 !> Archive of a state: all that a type must save for the run to continue to the same last bit.
 !>
-!> A type serialises its components in one procedure for both directions: they are copied to an
-!> archive that is written, or from an archive that is read. So there are no offsets, and writing
-!> and reading cannot differ. Every component is stored with its name, its kind and its size; the
-!> header has the number of the format and the precision of the program. On reading, the first
-!> component that does not match ends it: `problem` is the message, and later components do not
-!> change.
+!> A type serialises its components in one procedure for both directions, which saves them or
+!> restores them: they are copied to an archive that is written, or from an archive that is read. So
+!> there are no offsets, and writing and reading cannot differ. Every component is stored with its
+!> name, its kind and its size; the header has the number of the format and the precision of the
+!> program. On reading, the first component that does not match ends it: `problem` is the message,
+!> and later components do not change.
 !>
 !> Compatibility: an archive can be read by a program that serialises the same components in the
 !> same order. `format_number` increases when the meaning of a component changes under the same
@@ -38,15 +38,16 @@ module battery_archive
     procedure, private :: serialize_int8s, serialize_int16s, serialize_int32s, serialize_int64s, &
       serialize_reals
     procedure, private :: serialize_int32_list, serialize_real_list
-    !> Serialises a text of any length.
+    !> Saves or restores a text of any length.
     procedure :: serialize_text
-    !> Serialises a number, `value`, or an array, `values`, that has the same length on reading as
-    !> on writing. The `name` is checked on reading. Up to five arrays of reals may be passed in one
-    !> call, each after its name.
+    !> Saves or restores a number, `value`, or an array, `values`, that has the same length on
+    !> reading as on writing. The `name` is checked on reading. Up to five arrays of reals may be
+    !> passed in one call, each after its name.
     generic :: serialize => serialize_logical, serialize_int32, serialize_int64, serialize_real, &
       serialize_int8s, serialize_int16s, serialize_int32s, serialize_int64s, serialize_reals
-    !> Serialises an allocatable array, `values`, which is allocated on reading. The `name` is
-    !> checked on reading. Up to four lists of reals may be passed in one call, each after its name.
+    !> Saves or restores an allocatable array, `values`, which is allocated on reading. The `name`
+    !> is checked on reading. Up to four lists of reals may be passed in one call, each after its
+    !> name.
     generic :: serialize_list => serialize_int32_list, serialize_real_list
     !> Whether an item did not match what was expected.
     procedure :: failed
@@ -175,7 +176,7 @@ contains
     self%length = last
   end subroutine serialize_words
 
-  !> Serialises one logical value.
+  !> Saves or restores one logical value.
   pure subroutine serialize_logical(self, name, value)
     class(archive_type), intent(inout) :: self
     character(len=*), intent(in) :: name
@@ -187,7 +188,7 @@ contains
     value = word == 1
   end subroutine serialize_logical
 
-  !> Serialises one integer of 32 bits.
+  !> Saves or restores one integer of 32 bits.
   pure subroutine serialize_int32(self, name, value)
     class(archive_type), intent(inout) :: self
     character(len=*), intent(in) :: name
@@ -199,7 +200,7 @@ contains
     value = one(1)
   end subroutine serialize_int32
 
-  !> Serialises one integer of 64 bits.
+  !> Saves or restores one integer of 64 bits.
   pure subroutine serialize_int64(self, name, value)
     class(archive_type), intent(inout) :: self
     character(len=*), intent(in) :: name
@@ -211,7 +212,7 @@ contains
     value = one(1)
   end subroutine serialize_int64
 
-  !> Serialises one real.
+  !> Saves or restores one real.
   pure subroutine serialize_real(self, name, value)
     class(archive_type), intent(inout) :: self
     character(len=*), intent(in) :: name
@@ -223,7 +224,7 @@ contains
     value = one(1)
   end subroutine serialize_real
 
-  !> Serialises integers of 8 bits, eight in a word.
+  !> Saves or restores integers of 8 bits, eight in a word.
   pure subroutine serialize_int8s(self, name, values)
     class(archive_type), intent(inout) :: self
     character(len=*), intent(in) :: name
@@ -235,7 +236,7 @@ contains
     if (self%reading) values = transfer(words, values, size(values))
   end subroutine serialize_int8s
 
-  !> Serialises integers of 16 bits, stored with 8 bits: no state has greater values.
+  !> Saves or restores integers of 16 bits, stored with 8 bits: no state has greater values.
   pure subroutine serialize_int16s(self, name, values)
     class(archive_type), intent(inout) :: self
     character(len=*), intent(in) :: name
@@ -247,7 +248,7 @@ contains
     values = small
   end subroutine serialize_int16s
 
-  !> Serialises integers of 32 bits.
+  !> Saves or restores integers of 32 bits.
   pure subroutine serialize_int32s(self, name, values)
     class(archive_type), intent(inout) :: self
     character(len=*), intent(in) :: name
@@ -259,7 +260,7 @@ contains
     if (self%reading) values = transfer(words, values, size(values))
   end subroutine serialize_int32s
 
-  !> Serialises integers of 64 bits.
+  !> Saves or restores integers of 64 bits.
   pure subroutine serialize_int64s(self, name, values)
     class(archive_type), intent(inout) :: self
     character(len=*), intent(in) :: name
@@ -271,7 +272,8 @@ contains
     if (self%reading) values = transfer(words, values, size(values))
   end subroutine serialize_int64s
 
-  !> Serialises reals of the program's precision with all their bits; then the arrays that follow.
+  !> Saves or restores reals of the program's precision with all their bits; then the arrays that
+  !> follow.
   pure recursive subroutine serialize_reals(self, name, values, name2, values2, name3, values3, &
       name4, values4, name5, values5)
     class(archive_type), intent(inout) :: self
@@ -290,7 +292,7 @@ contains
       values4, name5, values5)
   end subroutine serialize_reals
 
-  !> Serialises a list of integers of 32 bits.
+  !> Saves or restores a list of integers of 32 bits.
   pure subroutine serialize_int32_list(self, name, values)
     class(archive_type), intent(inout) :: self
     character(len=*), intent(in) :: name
@@ -305,7 +307,7 @@ contains
     call self%serialize_int32s(name, values)
   end subroutine serialize_int32_list
 
-  !> Serialises a list of reals; then the lists that follow.
+  !> Saves or restores a list of reals; then the lists that follow.
   pure recursive subroutine serialize_real_list(self, name, values, name2, values2, name3, &
     values3, name4, values4)
     class(archive_type), intent(inout) :: self
@@ -328,7 +330,7 @@ contains
       values4)
   end subroutine serialize_real_list
 
-  !> Serialises a text of any length and of any bytes.
+  !> Saves or restores a text of any length and of any bytes.
   pure subroutine serialize_text(self, name, text)
     class(archive_type), intent(inout) :: self
     !> Name of the component, which is checked on reading.
@@ -348,8 +350,8 @@ contains
     if (self%reading) text = transfer(letters, repeat(' ', length))
   end subroutine serialize_text
 
-  !> Serialises the size of a list; on reading, a size greater than the words of the archive is a
-  !> problem.
+  !> Saves or restores the size of a list; on reading, a size greater than the words of the archive
+  !> is a problem.
   pure subroutine serialize_size(self, name, items)
     class(archive_type), intent(inout) :: self
     character(len=*), intent(in) :: name

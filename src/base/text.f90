@@ -61,29 +61,30 @@ contains
     text = shortest_text(number, 17, precision(number), tiny(number), 1.0e307_real64)
   end function real64_text
 
-  !> The shortest text that is read as the same number. The least number of digits tried is `kept`,
-  !> the number of decimal digits that reals preserve (trailing zeros are dropped later); 1 for
-  !> numbers below `normal`, which have fewer digits; and `most` above `nearly_huge`, since rounding
-  !> to fewer digits could overflow.
-  pure function shortest_text(number, most, kept, normal, nearly_huge) result(text)
+  !> The shortest text that is read as the same number. The least number of digits tried is
+  !> `safe_digits`, the number of decimal digits that reals preserve (trailing zeros are dropped
+  !> later); 1 for numbers below `least_normal`, which have fewer digits; and `max_digits` above
+  !> `rounding_limit`, since rounding to fewer digits could overflow.
+  pure function shortest_text(number, max_digits, safe_digits, least_normal, &
+    rounding_limit) result(text)
     real(real64), intent(in) :: number
     !> Number of digits that distinguishes any two numbers; fewer than 17: the number has 32 bits.
-    integer, intent(in) :: most
-    integer, intent(in) :: kept
-    real(real64), intent(in) :: normal, nearly_huge
+    integer, intent(in) :: max_digits
+    integer, intent(in) :: safe_digits
+    real(real64), intent(in) :: least_normal, rounding_limit
     character(len=:), allocatable :: text
     character(len=40) :: buffer, layout
     real(real64) :: again
     integer :: digits
 
-    digits = merge(kept, 1, abs(number) >= normal)
-    if (.not. abs(number) < nearly_huge) digits = most
-    do digits = digits, most
+    digits = merge(safe_digits, 1, abs(number) >= least_normal)
+    if (.not. abs(number) < rounding_limit) digits = max_digits
+    do digits = digits, max_digits
       write (layout, '(a, i0, a)') '(es40.', digits - 1, 'e3)'
       write (buffer, layout) number
       if (.not. abs(number) <= huge(number)) exit
       read (buffer, *) again
-      if (most < 17) again = real(real(again, real32), real64)
+      if (max_digits < 17) again = real(real(again, real32), real64)
       if (.not. abs(again - number) > 0.0_real64) exit
     end do
     text = plain_notation(trim(adjustl(buffer)))

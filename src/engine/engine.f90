@@ -44,9 +44,10 @@ module battery_engine
     procedure, non_overridable :: advance
     procedure, non_overridable :: clock
     procedure, non_overridable :: serialize_state
-    !> Why the engine cannot simulate a table, in words for the user; empty: it can.
-    procedure :: supports
-    !> Derives sizes and lengths from `table`, `number` and `time_step`; sets `epoch`.
+    !> Why the engine cannot simulate a table, in words for the user; an empty text: it can.
+    procedure :: reason_unsupported
+    !> Sets the sizes and lengths of the engine from `table`, `number` and `time_step`, among them
+    !> the longest window and `epoch`.
     procedure(prepare_engine_interface), deferred :: prepare_engine
     !> Loads the particles, which have been checked. May free their arrays as it proceeds, so that
     !> large systems fit into memory.
@@ -56,7 +57,7 @@ module battery_engine
     !> Starts a new epoch: reduces all times by its length; extended by engines with times of their
     !> own.
     procedure :: rebase_clock => rebase_gates_and_clock
-    !> Serialises what the engine itself adds.
+    !> Saves or restores what the engine itself adds.
     procedure(serialize_interface), deferred :: serialize_own_state
     procedure, non_overridable :: get_particles
     !> x, y, u_x, u_y of one particle now.
@@ -64,7 +65,7 @@ module battery_engine
     !> Exact number of wall collisions from the start until now; may cost a pass over the particles,
     !> while the running sum of `event_record%collisions` may be ahead of it.
     procedure(count_interface), deferred :: collisions
-    !> Number of particles that can never leave their urn or channel (periodic orbits).
+    !> Number of particles that never leave their urn or channel (periodic orbits).
     procedure(count_interface), deferred :: trapped
   end type engine_type
 
@@ -195,14 +196,14 @@ contains
   end function clock
 
   !> Why this engine cannot simulate a table; overridden by engines with further requirements.
-  pure function supports(self, table) result(reason)
+  pure function reason_unsupported(self, table) result(reason)
     class(engine_type), intent(in) :: self
     type(table_type), intent(in) :: table
     character(len=:), allocatable :: reason
 
     reason = unmet_requirement(table)
     if (self%time_step < 0.0_wp) reason = 'its time_step is below 0'
-  end function supports
+  end function reason_unsupported
 
   !> Requirement of all engines that `table` does not meet, in words for the user; or empty.
   pure function unmet_requirement(table) result(reason)
@@ -213,8 +214,8 @@ contains
     if (.not. all(table%urn%fits)) reason = 'its openings must be narrower than either urn'
   end function unmet_requirement
 
-  !> Serialises all that is needed to continue to the same last bit. If an archive does not fit, it
-  !> reports that, and the engine must not be used.
+  !> Saves or restores all that is needed to continue to the same last bit. If an archive does not
+  !> fit, it reports that, and the engine must not be used.
   subroutine serialize_state(self, table, threshold, archive)
     class(engine_type), intent(inout) :: self
     !> Table, the same for both directions: it is not part of the archive.

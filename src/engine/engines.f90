@@ -14,7 +14,7 @@ module battery_engines
   public :: engine_names, new_engine, engine_choices, has_step, bytes_per_particle, explain_refusal
 
   !> Properties of an engine that are needed before one is made.
-  type :: entry_type
+  type :: engine_info_type
     character(len=11) :: name
     !> Largest number of bytes per particle: with the initial positions and velocities, with arrays
     !> whose size is a power of two, and with two copies of the state, as while it is saved or read.
@@ -22,15 +22,15 @@ module battery_engines
     real(dp) :: bytes
     !> Whether the engine needs `time_step`.
     logical :: has_step
-  end type entry_type
+  end type engine_info_type
 
   !> All engines, in the order of the cases of `new_engine`.
-  type(entry_type), parameter :: engines(*) = [ &
-    entry_type('excursion', 208.0_dp, .false.), &
-    entry_type('collision', 192.0_dp, .false.), &
-    entry_type('synchronous', 152.0_dp, .false.), &
-    entry_type('timestep', 120.0_dp, .true.), &
-    entry_type('reservoir', 256.0_dp, .false.)]
+  type(engine_info_type), parameter :: engines(*) = [ &
+    engine_info_type('excursion', 208.0_dp, .false.), &
+    engine_info_type('collision', 192.0_dp, .false.), &
+    engine_info_type('synchronous', 152.0_dp, .false.), &
+    engine_info_type('timestep', 120.0_dp, .true.), &
+    engine_info_type('reservoir', 256.0_dp, .false.)]
 
   character(len=11), parameter :: engine_names(size(engines)) = engines%name
 
@@ -99,13 +99,14 @@ contains
     integer :: at
 
     others = ''
-    reason = engine%supports(table)
+    reason = engine%reason_unsupported(table)
     if (reason == '') return
     reason = 'cannot simulate this table: '//reason
     do at = 1, size(engines)
       call new_engine(trim(engine_names(at)), other, error)
       other%time_step = engine%time_step
-      if (other%supports(table) == '') others = others//', '''//trim(engine_names(at))//''''
+      if (other%reason_unsupported(table) == '') others = others//', '''//trim(engine_names(at)) &
+        //''''
     end do
     others = others(min(3, len(others) + 1):)
     if (others == '') others = 'another table: no engine can'

@@ -3,7 +3,7 @@
 !> Times count from the beginning of the window, so they stay sharp however long the run has been.
 module battery_event_record
   use battery_kinds, only: wp, int8, int32, int64
-  use battery_channel, only: gated, ungated
+  use battery_channel, only: channel1, channel2
   use battery_ordering, only: sort_by_time
   implicit none (type, external)
   private
@@ -40,7 +40,7 @@ module battery_event_record
     integer(int8), allocatable :: crossing(:)
     !> Wall collisions computed in the window (see `engine_type%collisions`).
     integer(int64) :: collisions = 0
-    !> Reversals of each gate, and particles turned back by both.
+    !> Reversals of each gate, and particles reversed by both.
     integer(int64) :: reversals(2) = 0, bounce_backs = 0
     !> Sum of |N1 - N2| over the states after each wall collision, and their number; only from
     !> engines that process every collision.
@@ -61,7 +61,7 @@ contains
     integer, intent(in) :: crossing
     integer :: channel
 
-    channel = merge(gated, ungated, crossing == channel1_12 .or. crossing == channel1_21)
+    channel = merge(channel1, channel2, crossing == channel1_12 .or. crossing == channel1_21)
   end function channel_of
 
   !> Empties the record, and allocates it for `crossings` crossings and `events` events.
@@ -129,7 +129,7 @@ contains
       direction_of(crossing), particle)
   end subroutine record_crossing
 
-  !> Adds a reversal of a gate, which turns back `counted` particles.
+  !> Adds a reversal of a gate, which reverses `counted` particles.
   subroutine record_reversal(event_record, time, gate, counted)
     type(event_record_type), intent(inout) :: event_record
     !> Since the window began.

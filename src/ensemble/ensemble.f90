@@ -43,9 +43,9 @@ contains
     type(journal_type) :: journal
     type(task_queue_type) :: task_queue
     type(monitor_type) :: monitor
-    real(dp) :: began
+    real(dp) :: start_seconds
     integer(int64) :: collisions
-    character(len=20) :: begun
+    character(len=20) :: start_date
     logical :: complete, goes_on
 
     exit_code = exit_failure
@@ -60,8 +60,8 @@ contains
       call release_lock(lock)
       return
     end if
-    began = wall_seconds()
-    begun = utc_now()
+    start_seconds = wall_seconds()
+    start_date = utc_now()
     if (plan%checkpoint_minutes > 0.0_dp) &
       monitor%checkpoint_interval = 60.0_dp*real(plan%checkpoint_minutes, dp)
     ! Results may ask for more replicas, until nothing is pending.
@@ -83,7 +83,7 @@ contains
       if (.not. allocated(error)) collisions = collisions + read_counter(task_queue, &
         collisions_done)
       if (.not. (goes_on .or. allocated(error))) call finish_ensemble(plan, journal, task_queue, &
-        collisions, monitor%busy, began, begun, quiet, exit_code, error)
+        collisions, monitor%busy, start_seconds, start_date, quiet, exit_code, error)
       call close_task_queue(task_queue)
       if (.not. goes_on) exit
     end do
@@ -92,17 +92,17 @@ contains
 
   !> Merges the journal into the results file on rank 0, and prints the summary. The journal is
   !> removed when the results file has all results.
-  subroutine finish_ensemble(plan, journal, task_queue, collisions, busy_seconds, began, begun, &
-    quiet, exit_code, error)
+  subroutine finish_ensemble(plan, journal, task_queue, collisions, busy_seconds, start_seconds, &
+    start_date, quiet, exit_code, error)
     type(plan_type), intent(in) :: plan
     type(journal_type), intent(in) :: journal
     type(task_queue_type), intent(in) :: task_queue
     !> Wall collisions of this start, on all ranks.
     integer(int64), intent(in) :: collisions
     !> Seconds that this rank spent in tasks; start of the run on the clock of `wall_seconds`.
-    real(dp), intent(in) :: busy_seconds, began
+    real(dp), intent(in) :: busy_seconds, start_seconds
     !> Start of the run as date and time of day.
-    character(len=*), intent(in) :: begun
+    character(len=*), intent(in) :: start_date
     !> Whether to print errors only.
     logical, intent(in) :: quiet
     !> Exit code of the program, the same on all ranks.
@@ -113,18 +113,18 @@ contains
     real(dp) :: busy(3)
     logical :: all_done
 
-    busy = least_mean_greatest(task_queue%communicator, busy_seconds/max(wall_seconds() - began, &
-      1.0e-9_dp))
+    busy = least_mean_greatest(task_queue%communicator, &
+      busy_seconds/max(wall_seconds() - start_seconds, 1.0e-9_dp))
     all_done = read_counter(task_queue, tasks_finished) >= task_queue%tasks
     exit_code = exit_success
     if (read_counter(task_queue, tasks_failed) > 0) exit_code = exit_failure
     if (.not. all_done) exit_code = exit_stopped_early
     if (task_queue%communicator%rank == 0) then
       call check_lock(journal, error)
-      if (.not. allocated(error)) call merge_results(plan, journal, begun, results, failures, &
+      if (.not. allocated(error)) call merge_results(plan, journal, start_date, results, failures, &
         error)
       if (.not. allocated(error)) call print_summary(plan, results, failures, journal%ranks, busy, &
-        wall_seconds() - began, collisions, all_done, quiet)
+        wall_seconds() - start_seconds, collisions, all_done, quiet)
       if (.not. allocated(error) .and. exit_code == exit_success) then
         if (all_tasks_complete(results)) then
           call remove_journal(journal%folder, error)

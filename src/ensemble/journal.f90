@@ -103,7 +103,7 @@ contains
     if (present(rank_files)) rank_files = files
   end subroutine read_plan
 
-  !> Serialises the contents of the file `plan`.
+  !> Saves or restores the contents of the file `plan`.
   pure subroutine serialize_plan(namelist, initial_fingerprint, rank_files, archive)
     character(len=:), allocatable, intent(inout) :: namelist
     integer(int64), intent(inout) :: initial_fingerprint
@@ -332,7 +332,7 @@ contains
     if (.not. allocated(error)) call sync_file(name, error)
   end subroutine write_state
 
-  !> Serialises the contents of a state file.
+  !> Saves or restores the contents of a state file.
   subroutine serialize_state(simulation, setup, cpu_seconds, archive, error)
     type(simulation_type), intent(inout) :: simulation
     type(setup_type), intent(in) :: setup

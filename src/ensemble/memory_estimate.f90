@@ -7,7 +7,7 @@ module battery_memory_estimate
     bytes_per_state, bytes_per_event, bytes_per_task, merged_entry, merged_state, base_bytes, &
     most_numbers, size_text
   use battery_plan, only: plan_type, point_type, point_of, table_of, is_scanned
-  use battery_table, only: table_type, gated, ungated
+  use battery_table, only: table_type, channel1, channel2
   use battery_tasks, only: task_count
   use battery_text, only: to_text, new_line_character
   implicit none (type, external)
@@ -38,10 +38,10 @@ module battery_memory_estimate
 
 contains
 
-  !> Memory that a plan needs if `left` is available to a rank.
-  function estimate_of(plan, left) result(estimate)
+  !> Memory that a plan needs if `available` is available to a rank.
+  function estimate_of(plan, available) result(estimate)
     type(plan_type), intent(in) :: plan
-    type(free_memory_type), intent(in) :: left
+    type(free_memory_type), intent(in) :: available
     type(estimate_type) :: estimate
     type(point_type) :: point
     real(dp) :: others, tasks
@@ -52,7 +52,7 @@ contains
       point = point_of(plan, at)
       estimate%least = min(estimate%least, point%number)
       estimate%greatest = max(estimate%greatest, point%number)
-      if (bytes_per_particle(plan%engine)*point%number + base_bytes > left%bytes) then
+      if (bytes_per_particle(plan%engine)*point%number + base_bytes > available%bytes) then
         estimate%too_large = estimate%too_large + 1
       else
         estimate%number = max(estimate%number, point%number)
@@ -120,8 +120,8 @@ contains
 
     point = point_of(plan, 1)
     table = table_of(plan, point)
-    events = real(point%number, dp)*real(length_of(plan, point%number) &
-      *(2.0_wp*point%channel(gated)%width + point%channel(ungated)%width) &
+    events = real(point%number, dp)*real(length_of(plan, &
+      point%number)*(2.0_wp*point%channel(channel1)%width + point%channel(channel2)%width) &
       /(pi*table%urn(1)%area), dp)
   end function events_of
 
@@ -129,12 +129,12 @@ contains
   !> MPI_Init.
   subroutine check_memory_for_mpi(error)
     type(error_type), allocatable, intent(out) :: error
-    type(free_memory_type) :: left
+    type(free_memory_type) :: available
 
-    left = available_memory(1)
-    if (left%bytes < start_bytes) call fatal_error(error, 'battery: MPI needs ' &
-      //size_text(start_bytes)//' of memory to start; there are '//size_text(left%bytes)//' ('// &
-      left%limit//')', exit_bad_input)
+    available = available_memory(1)
+    if (available%bytes < start_bytes) call fatal_error(error, 'battery: MPI needs ' &
+      //size_text(start_bytes)//' of memory to start; there are '//size_text(available%bytes) &
+      //' ('// available%limit//')', exit_bad_input)
   end subroutine check_memory_for_mpi
 
   !> An error that names the keys for which the memory does not suffice: for one task, or for rank 0
@@ -145,12 +145,12 @@ contains
     !> Ranks that share the machine's memory.
     integer, intent(in) :: sharing
     type(error_type), allocatable, intent(out) :: error
-    type(free_memory_type) :: left
+    type(free_memory_type) :: available
     type(estimate_type) :: estimate
     character(len=:), allocatable :: problems
 
-    left = available_memory(sharing)
-    estimate = estimate_of(plan, left)
+    available = available_memory(sharing)
+    estimate = estimate_of(plan, available)
     problems = ''
     if (estimate%too_large == plan%point_count) then
       call add(merge('scan     ', 'particles', is_scanned(plan, 'number')), 'number', &
@@ -171,7 +171,7 @@ contains
           estimate%snapshots, merged_state/bytes_per_state)
       end if
       call check('final_state', 'final states', estimate%final_state, merged_state/bytes_per_state)
-      if (problems == '' .and. estimate%merge + base_bytes > left%bytes) &
+      if (problems == '' .and. estimate%merge + base_bytes > available%bytes) &
         call add('scan', 'replicas', 'the results of '//to_text(task_count(plan))//' tasks', &
         estimate%merge + base_bytes)
     end if
@@ -189,10 +189,10 @@ contains
       if (.not. bytes > 0.0_dp) return
       all_tasks = bytes*(1.0_dp + share*(real(task_count(plan), dp) - 1.0_dp))
       if (estimate%too_large > 0) all_tasks = bytes
-      if (estimate%particles + bytes + base_bytes > left%bytes) then
+      if (estimate%particles + bytes + base_bytes > available%bytes) then
         call add('output', key, what//' beside '//to_text(estimate%number)//' particles', &
           estimate%particles + bytes + base_bytes)
-      else if (all_tasks + base_bytes > left%bytes) then
+      else if (all_tasks + base_bytes > available%bytes) then
         call add('output', key, what//' of each of '//to_text(task_count(plan))//' tasks', &
           all_tasks + base_bytes)
       end if
@@ -204,7 +204,8 @@ contains
       real(dp), intent(in) :: bytes
 
       call append_line('&'//trim(group)//' '//key//': '//what//' need '//size_text(bytes) &
-        //' of memory; '//size_text(left%bytes)//' a rank are available ('//left%limit//')')
+        //' of memory; '//size_text(available%bytes)//' a rank are available ('//available%limit &
+        //')')
     end subroutine add
 
     !> Adds a line to the problems.

@@ -13,7 +13,7 @@ module battery_merge
     prepare_output_datasets, write_task_output, read_task_output, close_output_datasets, &
     write_events
   use battery_error, only: error_type, fatal_error, exit_bad_input
-  use battery_files, only: file_exists, has_identity
+  use battery_files, only: file_exists, has_stamp
   use battery_fingerprint, only: fingerprint_text
   use battery_hdf5_file, only: hdf5_file_type
   use battery_journal, only: journal_type, open_rank_file, next_result, rank_files_of
@@ -51,7 +51,7 @@ module battery_merge
     !> Place of the output of each task.
     type(place_type), allocatable :: place(:)
     !> Largest extents of any output.
-    type(output_extents_type) :: most
+    type(output_extents_type) :: largest
     !> The old results file; open if it has tasks that the journal does not have.
     type(hdf5_file_type) :: file
     type(output_datasets_type) :: output_datasets
@@ -61,11 +61,11 @@ contains
 
   !> Writes the results file from the journal and the old results file; `results` returns its
   !> numbers.
-  subroutine merge_results(plan, journal, begun, results, failures, error)
+  subroutine merge_results(plan, journal, start_date, results, failures, error)
     type(plan_type), intent(in) :: plan
     type(journal_type), intent(in) :: journal
     !> Start of the run as date and time of day.
-    character(len=*), intent(in) :: begun
+    character(len=*), intent(in) :: start_date
     type(results_type), intent(out) :: results
     !> Reason for which each task failed; not allocated for the others.
     type(string_type), allocatable, intent(out) :: failures(:)
@@ -79,9 +79,9 @@ contains
     call collect_results(plan, journal, .true., results, failures, wanted, sources, error)
     if (allocated(error)) return
     call drop_unwanted_replicas(results, wanted)
-    call describe_sources(plan, journal, begun, results, metadata)
+    call describe_sources(plan, journal, start_date, results, metadata)
     call create_results(plan%file, results, metadata, file, error)
-    call prepare_output_datasets(file, sources%most, real(plan%series_interval, dp), &
+    call prepare_output_datasets(file, sources%largest, real(plan%series_interval, dp), &
       real(plan%snapshot_times, dp), output_datasets, error)
     call move_task_outputs(plan, journal, sources, file, output_datasets, results, error)
     call close_output_datasets(file, output_datasets, error)
@@ -90,10 +90,10 @@ contains
   end subroutine merge_results
 
   !> Collects the metadata of the results file: its program, input and run.
-  subroutine describe_sources(plan, journal, begun, results, metadata)
+  subroutine describe_sources(plan, journal, start_date, results, metadata)
     type(plan_type), intent(in) :: plan
     type(journal_type), intent(in) :: journal
-    character(len=*), intent(in) :: begun
+    character(len=*), intent(in) :: start_date
     type(results_type), intent(in) :: results
     type(metadata_type), intent(out) :: metadata
 
@@ -114,7 +114,7 @@ contains
       numbers_text(plan%scatterers))
     call add_text_metadata(metadata, 'engine', plan%engine)
     metadata%command_line = command_text()
-    metadata%begun = begun
+    metadata%begun = start_date
     metadata%hosts = join(results%host, new_line_character)
     metadata%mpi_ranks = journal%ranks
     metadata%start_time = real(plan%start_time, dp)
@@ -169,9 +169,9 @@ contains
       results%point(task%point)%urn_radius = task%setup%table%urn%radius
       results%seed(task%replica, task%point) = task%setup%seed
     end do
-    sources%most%snapshots = size(plan%snapshot_times)
-    sources%most%replicas = plan%replicas
-    sources%most%points = plan%point_count
+    sources%largest%snapshots = size(plan%snapshot_times)
+    sources%largest%replicas = plan%replicas
+    sources%largest%points = plan%point_count
     files = rank_files_of(journal)
     if (size(files) > 0 .or. file_exists(plan%file)) task_index = task_index_of(plan)
     do k = 1, size(files)
@@ -186,11 +186,11 @@ contains
       call close_records(reader)
     end do
     old = file_exists(plan%file)
-    if (makes_file .and. old) old = has_identity(plan%file, journal%lock%before)
+    if (makes_file .and. old) old = has_stamp(plan%file, journal%lock%before)
     if (old .and. any(results%task_status /= task_complete)) then
       call open_results(plan%file, sources%file, before, sources%output_datasets, error)
       if (.not. allocated(error)) then
-        call add_results_of_file(before, sources%output_datasets%most)
+        call add_results_of_file(before, sources%output_datasets%largest)
       else if (error%code == exit_bad_input) then
         return
       else
@@ -202,9 +202,9 @@ contains
   contains
 
     !> Adds all complete tasks of the old file.
-    subroutine add_results_of_file(before, most)
+    subroutine add_results_of_file(before, largest)
       type(results_type), intent(in) :: before
-      type(output_extents_type), intent(in) :: most
+      type(output_extents_type), intent(in) :: largest
       integer :: r, p
 
       do p = 1, size(before%task_status, 2)
@@ -212,8 +212,8 @@ contains
           if (before%task_status(r, p) /= task_complete) cycle
           found = numbers_of(before, r, p)
           found%task_id = task_id_in_results(plan, before%seed(r, p))
-          call add_result(found, place_type(replica=r, point=p), most%entries, most%particles &
-            *most%snapshots > 0, most%final_particles > 0)
+          call add_result(found, place_type(replica=r, point=p), largest%entries, &
+            largest%particles*largest%snapshots > 0, largest%final_particles > 0)
         end do
       end do
     end subroutine add_results_of_file
@@ -230,7 +230,7 @@ contains
       number = task_number_of(task_index, one%task_id)
       if (number == 0) return
       task = task_of(plan, number)
-      associate (p => task%point, r => task%replica, most => sources%most)
+      associate (p => task%point, r => task%replica, largest => sources%largest)
         if (results%task_status(r, p) == task_complete) return
         results%task_status(r, p) = one%status
         results%average(r, p, :) = one%measured%average
@@ -238,9 +238,9 @@ contains
         results%counted(r, p, :) = one%measured%counted
         results%counted(r, p, place_of('provenance/host', counted_quantities())) &
           = index_in_list(one%host, results%host)
-        most%entries = max(most%entries, entries)
-        if (has_snapshots) most%particles = max(most%particles, task%number)
-        if (has_final_state) most%final_particles = max(most%final_particles, task%number)
+        largest%entries = max(largest%entries, entries)
+        if (has_snapshots) largest%particles = max(largest%particles, task%number)
+        if (has_final_state) largest%final_particles = max(largest%final_particles, task%number)
       end associate
       sources%place(number) = place
       if (allocated(failures(number)%text)) deallocate (failures(number)%text)
@@ -290,8 +290,8 @@ contains
     integer :: k, open_file
     logical :: is_one
 
-    if (sources%most%entries + sources%most%particles + sources%most%final_particles == 0 .and. &
-      .not. plan%event_log) return
+    if (sources%largest%entries + sources%largest%particles + sources%largest%final_particles &
+      == 0 .and. .not. plan%event_log) return
     open_file = -1
     do k = 1, task_count(plan)
       if (allocated(error)) exit

@@ -13,7 +13,7 @@ module battery_plan_report
   use battery_progress_line, only: duration_text, rate_text
   use battery_signals, only: stop_requested, set_stop_error
   use battery_simulation, only: simulation_type, begin_simulation, advance_simulation
-  use battery_table, only: gated, ungated
+  use battery_table, only: channel1, channel2
   use battery_tasks, only: task_type, task_count, task_of, initial_particles
   use battery_terminal, only: print_line
   use battery_text, only: string_type, to_text, count_text
@@ -27,7 +27,8 @@ module battery_plan_report
 
 contains
 
-  !> Prints the plan, and its time and memory on `ranks` ranks, `sharing` of them on one machine.
+  !> Prints the plan, and its time and memory on `ranks` ranks, `sharing` of which are on one
+  !> machine.
   subroutine print_plan_report(plan, ranks, sharing, overwrite, json, error)
     type(plan_type), intent(in) :: plan
     integer, intent(in) :: ranks, sharing
@@ -36,7 +37,7 @@ contains
     !> JSON file for tasks, time and memory; empty: none.
     character(len=*), intent(in) :: json
     type(error_type), allocatable, intent(out) :: error
-    type(free_memory_type) :: left
+    type(free_memory_type) :: available
     type(estimate_type) :: estimate
     type(progress_type) :: progress
     character(len=:), allocatable :: remark
@@ -52,8 +53,8 @@ contains
     end if
     if (allocated(error)) return
     if (remark /= '') call print_line(remark)
-    left = available_memory(sharing)
-    estimate = estimate_of(plan, left)
+    available = available_memory(sharing)
+    estimate = estimate_of(plan, available)
     call print_parameters(plan)
     remarks = remarks_of(plan)
     do at = 1, size(remarks)
@@ -67,7 +68,7 @@ contains
       call print_line('speed:      '//rate_text(rate)//' collisions/s a rank (calibrated)')
     if (size(progress%pending) > 0) call print_line('time:       about '//time_text(0.0_dp) &
       //' on ' //count_text(ranks, 'rank')//further_time())
-    call print_memory(estimate, left)
+    call print_memory(estimate, available)
     call print_line('results:    '//plan%file)
     call print_line('nothing was written')
     call write_plan_json(json, task_count(plan), size(progress%pending), seconds, &
@@ -109,13 +110,13 @@ contains
 
   !> Prints the memory that a rank needs for tasks, that rank 0 needs at the end, and that is
   !> available.
-  subroutine print_memory(estimate, left)
+  subroutine print_memory(estimate, available)
     type(estimate_type), intent(in) :: estimate
-    type(free_memory_type), intent(in) :: left
+    type(free_memory_type), intent(in) :: available
 
     call print_line('memory:     about '//size_text(bytes_per_rank(estimate)) &
       //' a rank; rank 0 about ' //size_text(bytes_at_the_end(estimate))//' at the end; ' &
-      //size_text(left%bytes)//' a rank are available ('//left%limit//')')
+      //size_text(available%bytes)//' a rank are available ('//available%limit//')')
     if (estimate%events > 0.0_dp) call print_line('            events take about ' &
       //size_text(estimate%events) //' of it; a run whose events outgrow the memory fails')
     if (estimate%too_large > 0) call print_line('            '//count_text(estimate%too_large, &
@@ -135,8 +136,8 @@ contains
     do at = 1, plan%point_count
       point = point_of(plan, at)
       call widen_range([real(point%number, wp), real(point%threshold, wp), point%urn_radius, &
-        point%channel(gated)%width, point%channel(gated)%length, point%channel(ungated)%width, &
-        point%channel(ungated)%length, real(point%urn1_number, wp)])
+        point%channel(channel1)%width, point%channel(channel1)%length, &
+        point%channel(channel2)%width, point%channel(channel2)%length, real(point%urn1_number, wp)])
     end do
     call print_line('tasks:      '//to_text(task_count(plan))//' (' &
       //count_text(plan%point_count, 'point')//', '//count_text(plan%replicas, 'replica')//' each)')

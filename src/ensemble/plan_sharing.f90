@@ -52,7 +52,7 @@ contains
     plan%base%urn1_number = count(plan%start%x < 0.0_wp)
   end subroutine read_plan_once
 
-  !> Serialises what rank 0 has read: text, initial particles, and their fingerprint.
+  !> Saves or restores what rank 0 has read: text, initial particles, and their fingerprint.
   pure subroutine serialize_input(plan, archive)
     type(plan_type), intent(inout) :: plan
     type(archive_type), intent(inout) :: archive

@@ -19,7 +19,7 @@ module battery_self_test
   use battery_process, only: process_number
   use battery_results, only: results_type, all_tasks_complete
   use battery_results_file, only: open_results, close_results
-  use battery_table, only: gated, ungated
+  use battery_table, only: channel1, channel2
   use battery_terminal, only: print_line
   use battery_text, only: to_text, count_text, new_line_character
   implicit none (type, external)
@@ -149,10 +149,10 @@ contains
 
     associate (setup => log%setup, table => log%setup%table)
       text = '&table urn_radius = '//to_text(table%urn(1)%radius) &
-        //', channel1_width = '//to_text(table%channel(gated)%width) &
-        //', channel1_length = '//to_text(table%channel(gated)%length) &
-        //', channel2_width = '//to_text(table%channel(ungated)%width) &
-        //', channel2_length = '//to_text(table%channel(ungated)%length)//' /'//nl &
+        //', channel1_width = '//to_text(table%channel(channel1)%width) &
+        //', channel1_length = '//to_text(table%channel(channel1)%length) &
+        //', channel2_width = '//to_text(table%channel(channel2)%width) &
+        //', channel2_length = '//to_text(table%channel(channel2)%length)//' /'//nl &
         //'&particles number = '//to_text(size(log%start%x))//', initial_file = ''frozen'' /'//nl &
         //'&gate threshold = '//to_text(setup%threshold(1))//' /'//nl &
         //'&run duration = '//to_text(setup%duration)//' /'//nl &

@@ -3,7 +3,7 @@ module battery_summary
   use, intrinsic :: ieee_arithmetic, only: ieee_is_nan
   use battery_kinds, only: dp, int64
   use battery_plan, only: plan_type
-  use battery_table, only: gated, ungated
+  use battery_table, only: channel1, channel2
   use battery_tasks, only: task_count
   use battery_precision, only: cut_between_groups
   use battery_quantities, only: quantity_type, averaged_quantities, counted_quantities, place_of
@@ -131,8 +131,8 @@ contains
       call print_line('slowest task: '//duration_text(cpu_seconds(r, p)) &
         //' of a processor, N = '//to_text(results%point(p)%number)//', T = ' &
         //to_text(results%point(p)%threshold(1))//', w = ' &
-        //to_text(results%point(p)%channel(gated)%width)//', w'' = ' &
-        //to_text(results%point(p)%channel(ungated)%width)//', replica '//to_text(r))
+        //to_text(results%point(p)%channel(channel1)%width)//', w'' = ' &
+        //to_text(results%point(p)%channel(channel2)%width)//', replica '//to_text(r))
     end associate
   end subroutine print_slowest
 
@@ -218,8 +218,8 @@ contains
     character(len=:), allocatable :: text
 
     text = whole_text(results%point(p)%number, 6)//whole_text(results%point(p)%threshold(1), 5) &
-      //number_text(results%point(p)%channel(gated)%width, 8, 4) &
-      //number_text(results%point(p)%channel(ungated)%width, 11, 6)//whole_text(which, 10)
+      //number_text(results%point(p)%channel(channel1)%width, 8, 4) &
+      //number_text(results%point(p)%channel(channel2)%width, 11, 6)//whole_text(which, 10)
   end function line_head
 
   !> An integer in `width` columns, or, if it does not fit, a blank and the integer.

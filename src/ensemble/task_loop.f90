@@ -34,8 +34,8 @@ module battery_task_loop
     real(dp) :: checkpoint_interval = huge(1.0_dp)
     !> Time of the next saved state. This and the times below are those of `wall_seconds`.
     real(dp) :: next_checkpoint = huge(1.0_dp)
-    !> Time of the next read of the task queue.
-    real(dp) :: next_look = 0.0_dp
+    !> Time at which this rank polls the task queue next.
+    real(dp) :: next_poll = 0.0_dp
     !> Next time at which rank 0 calls MPI, so that one-sided requests make progress.
     real(dp) :: next_mpi_progress = 0.0_dp
     !> Whether the run stops early.
@@ -45,12 +45,12 @@ module battery_task_loop
   end type monitor_type
 
   !> Windows between two readings of the clock, for up to `few_particles` particles.
-  integer, parameter :: windows_between_looks = 16, few_particles = 2000
+  integer, parameter :: windows_between_clock_readings = 16, few_particles = 2000
 
-  !> Seconds between two reads of the task queue: the greatest of `look_interval`, ranks /
-  !> `looks_a_second` and the time of a read / `look_share`, but at most `longest_interval`.
-  real(dp), parameter :: look_interval = 0.1_dp, looks_a_second = 1.0e4_dp, look_share = 0.005_dp, &
-    longest_interval = 5.0_dp
+  !> Seconds between two polls of the task queue: the greatest of `poll_interval`, ranks /
+  !> `polls_a_second` and the time of a poll / `poll_share`, but at most `longest_poll_interval`.
+  real(dp), parameter :: poll_interval = 0.1_dp, polls_a_second = 1.0e4_dp, poll_share = 0.005_dp, &
+    longest_poll_interval = 5.0_dp
 
 contains
 
@@ -100,7 +100,8 @@ contains
 
   contains
 
-    !> Whether the run must stop; the first rank with a request informs the others.
+    !> Whether the run must stop: another rank has counted a stop request in the task queue, or this
+    !> rank has one (`stop_requested`), which it counts there.
     function stop_is_wanted() result(stopping)
       logical :: stopping
 
@@ -113,15 +114,15 @@ contains
     !> Waits, without using the processor, until all tasks are finished; still notices signals.
     subroutine wait_for_others()
       real(dp), parameter :: nap = 0.005_dp
-      real(dp) :: next_look
+      real(dp) :: next_poll
 
-      next_look = 0.0_dp
+      next_poll = 0.0_dp
       do
-        if (wall_seconds() >= next_look .or. stop_requested()) then
+        if (wall_seconds() >= next_poll .or. stop_requested()) then
           if (stop_is_wanted()) exit
           if (read_counter(task_queue, tasks_finished) >= task_queue%tasks) exit
           call show_progress(progress_line, task_queue, 0.5_dp)
-          next_look = wall_seconds() + max(nap, task_queue%communicator%size/looks_a_second)
+          next_poll = wall_seconds() + max(nap, task_queue%communicator%size/polls_a_second)
         end if
         call sleep_for(nap)
       end do
@@ -146,13 +147,13 @@ contains
     type(error_type), allocatable, intent(out) :: error
     type(simulation_type) :: simulation
     type(error_type), allocatable :: failure
-    real(dp) :: cpu_before, cpu_began, began, begun, now
+    real(dp) :: cpu_before, cpu_at_start, start_seconds, start_date, now
     integer(int64) :: reported
 
     stopped = .false.
-    began = wall_seconds()
-    begun = utc_seconds()
-    cpu_began = cpu_seconds()
+    start_seconds = wall_seconds()
+    start_date = utc_seconds()
+    cpu_at_start = cpu_seconds()
     call resume_or_begin_task(task, start, journal, simulation, cpu_before, failure)
     reported = 0
     if (.not. allocated(failure)) reported = simulation%observer%collisions
@@ -165,18 +166,18 @@ contains
         call drive_mpi_progress(task_queue)
         monitor%next_mpi_progress = now + mpi_progress_interval
       end if
-      if (now < monitor%next_look .and. .not. stop_requested()) cycle
+      if (now < monitor%next_poll .and. .not. stop_requested()) cycle
       call exchange_with_queue()
       call show_progress(progress_line, task_queue, real(progress(simulation), dp))
       if (simulation%done) exit
       stopped = monitor%stopping
       now = wall_seconds()
       if (.not. stopped .and. now < monitor%next_checkpoint) cycle
-      call write_state(journal, task, simulation, cpu_before + cpu_seconds() - cpu_began, error)
+      call write_state(journal, task, simulation, cpu_before + cpu_seconds() - cpu_at_start, error)
       if (stopped .or. allocated(error)) exit
       monitor%next_checkpoint = wall_seconds() + monitor%checkpoint_interval
     end do
-    monitor%busy = monitor%busy + wall_seconds() - began
+    monitor%busy = monitor%busy + wall_seconds() - start_seconds
     ! A task that was stopped before its state was saved starts again.
     if (allocated(failure)) stopped = failure%code == exit_stopped_early
     if (stopped .or. allocated(error)) return
@@ -185,7 +186,7 @@ contains
       found = failed_result(task, failure%message)
     else
       call add_to_counter(task_queue, collisions_done, simulation%observer%collisions - reported)
-      found = result_of(task, simulation, cpu_before + cpu_seconds() - cpu_began, begun)
+      found = result_of(task, simulation, cpu_before + cpu_seconds() - cpu_at_start, start_date)
     end if
 
   contains
@@ -200,8 +201,8 @@ contains
       if (stop_requested()) call add_to_counter(task_queue, stop_wanted, 1_int64)
       monitor%stopping = read_counter(task_queue, stop_wanted) > 0
       after = wall_seconds()
-      monitor%next_look = after + min(longest_interval, max((after - now)/look_share, &
-        look_interval, task_queue%communicator%size/looks_a_second))
+      monitor%next_poll = after + min(longest_poll_interval, max((after - now)/poll_share, &
+        poll_interval, task_queue%communicator%size/polls_a_second))
     end subroutine exchange_with_queue
 
   end subroutine run_task
@@ -211,7 +212,7 @@ contains
     type(simulation_type), intent(inout) :: simulation
     integer :: window
 
-    do window = 1, max(1, windows_between_looks*few_particles &
+    do window = 1, max(1, windows_between_clock_readings*few_particles &
       /max(few_particles, simulation%engine%number))
       call advance_simulation(simulation)
       if (simulation%done .or. stop_requested()) exit

@@ -32,11 +32,11 @@ module battery_task_result
 contains
 
   !> Result of a finished simulation.
-  function result_of(task, simulation, cpu_seconds, begun) result(found)
+  function result_of(task, simulation, cpu_seconds, start_date) result(found)
     type(task_type), intent(in) :: task
     type(simulation_type), intent(in) :: simulation
     !> Processor seconds of the task; its start, or last restart, on the clock of `utc_seconds`.
-    real(dp), intent(in) :: cpu_seconds, begun
+    real(dp), intent(in) :: cpu_seconds, start_date
     type(task_result_type) :: found
     type(particles_type) :: particles
     integer(int64) :: n
@@ -53,7 +53,7 @@ contains
     call set_average(found%measured, 'time', real(simulation%elapsed, dp))
     call set_average(found%measured, 'transient_time', real(simulation%transient_time, dp))
     call set_average(found%measured, 'cpu_seconds', cpu_seconds)
-    call set_average(found%measured, 'provenance/begun', begun)
+    call set_average(found%measured, 'provenance/begun', start_date)
     call set_average(found%measured, 'provenance/ended', utc_seconds())
     found%host = machine_text()
     associate (observer => simulation%observer, events => simulation%events)

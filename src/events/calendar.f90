@@ -25,7 +25,7 @@ module battery_calendar
     !> Kind of the particle's next event (`battery_flight`); the urn that it leaves, 1 or 2.
     integer(int16) :: next_event, urn
     !> Slot of the next visit, if it was computed ahead; else 0.
-    integer(int32) :: lookahead_slot
+    integer(int32) :: precomputed_slot
     !> Time, height, |u_x| and u_y at the entry into the next channel, or into the channel that the
     !> particle is in.
     real(wp) :: time, y, u_axial, u_lateral

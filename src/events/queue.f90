@@ -251,7 +251,7 @@ contains
     queue%next = minval(queue%time(:queue%count))
   end subroutine rebase_queue
 
-  !> Serialises the queue in its present order.
+  !> Saves or restores the queue in its present order.
   pure subroutine serialize_queue(queue, archive)
     type(queue_type), intent(inout) :: queue
     type(archive_type), intent(inout) :: archive

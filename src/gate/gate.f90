@@ -1,10 +1,10 @@
 !> The threshold gate: the particles that it counts, the events at which it reverses, the particles
-!> that it turns back, and the order of events at one instant.
+!> that it reverses, and the order of events at one instant.
 !>
 !> **The rule** (PRE 103, 032119, Sec. II). A gate is the half of channel 1 that belongs to its urn.
 !> It counts the particles that are inside and head for the other gate: from their entry until they
 !> cross the middle line. When entries make the count exceed the threshold, all counted particles
-!> turn back, those that enter at that instant included; then none is counted. Only an entry can
+!> are reversed, those that enter at that instant included; then none is counted. Only an entry can
 !> make a gate reverse. Particles from the other gate, and those on their way out, are neither
 !> counted nor affected.
 !>
@@ -27,7 +27,7 @@ module battery_gate
     decide_reversal, uncount_all
   public :: number_inside, counted_particle, next_crossing_time, first_crossing_time
   public :: gate_crossed_first, uncount_first, uncount_particle, rebase_gate, serialize_gate
-  public :: stretch_type, reserve_stretch, admit_entries
+  public :: gate_window_type, reserve_gate_window, admit_entries
 
   !> The gate of one urn: its threshold, and the particles that it counts.
   type :: gate_type
@@ -39,20 +39,21 @@ module battery_gate
     type(queue_type), private :: counted
   end type gate_type
 
-  !> Reversals that the entries into one gate within a window lead to (`admit_entries`). Arrays may
-  !> be longer than their counts.
-  type :: stretch_type
+  !> The entries into one gate in one window, and the reversals that follow from them
+  !> (`admit_entries`). Arrays may be longer than their counts.
+  type :: gate_window_type
     !> Number of reversals.
     integer :: reversals = 0
     !> For each reversal, the entry that it follows.
     integer, allocatable :: last_entry(:)
-    !> For each reversal, the number of particles turned back.
+    !> For each reversal, the number of particles reversed.
     integer, allocatable :: reversed(:)
     !> Work space: time at which each particle would cross the middle line.
     real(wp), allocatable :: time(:)
-    !> Work space: particles counted before, then those that enter, in order.
+    !> Work space: particles counted before that would cross in the window, then those that enter,
+    !> in order.
     integer, allocatable :: particle(:)
-  end type stretch_type
+  end type gate_window_type
 
 contains
 
@@ -148,7 +149,7 @@ contains
   !> Decides, at the end of an instant, whether the gate reverses.
   pure subroutine decide_reversal(gate, reverses)
     type(gate_type), intent(inout) :: gate
-    !> Whether all counted particles (`counted_particle`) are to be turned back.
+    !> Whether all counted particles (`counted_particle`) are to be reversed.
     logical, intent(out) :: reverses
 
     reverses = gate%entered .and. must_reverse(gate)
@@ -163,7 +164,7 @@ contains
     urn = merge(1, 2, gate(1)%counted%next <= gate(2)%counted%next)
   end function gate_crossed_first
 
-  !> Removes the counted particle that crosses the middle line first.
+  !> Removes the particle that crosses the middle line first from the count of its gate.
   pure subroutine uncount_first(gate, particle)
     type(gate_type), intent(inout) :: gate
     !> Index of the particle removed.
@@ -172,7 +173,7 @@ contains
     call pop(gate%counted, particle)
   end subroutine uncount_first
 
-  !> Removes a counted particle, which crosses the middle line.
+  !> Removes a particle from the count of its gate, since it crosses the middle line.
   pure subroutine uncount_particle(gate, particle)
     type(gate_type), intent(inout) :: gate
     !> Particle index, 1 ... N.
@@ -181,7 +182,7 @@ contains
     call remove_particle(gate%counted, particle)
   end subroutine uncount_particle
 
-  !> Removes all counted particles: they have been turned back.
+  !> Removes all counted particles from the count of a gate, since they have been reversed.
   pure subroutine uncount_all(gate)
     type(gate_type), intent(inout) :: gate
 
@@ -190,29 +191,30 @@ contains
   end subroutine uncount_all
 
   !> Allocates the arrays for the entries of a window and the particles counted before.
-  subroutine reserve_stretch(stretch, number)
-    type(stretch_type), intent(inout) :: stretch
+  subroutine reserve_gate_window(gate_window, number)
+    type(gate_window_type), intent(inout) :: gate_window
     !> Largest number of entries and counted particles together.
     integer, intent(in) :: number
     integer :: capacity
 
-    if (allocated(stretch%particle)) then
-      if (size(stretch%particle) >= number) return
-      deallocate (stretch%last_entry, stretch%reversed, stretch%time, stretch%particle)
+    if (allocated(gate_window%particle)) then
+      if (size(gate_window%particle) >= number) return
+      deallocate (gate_window%last_entry, gate_window%reversed, gate_window%time, &
+        gate_window%particle)
     end if
     capacity = max(64, 2*number)
-    allocate (stretch%last_entry(capacity), stretch%reversed(capacity), stretch%time(capacity), &
-      stretch%particle(capacity))
-  end subroutine reserve_stretch
+    allocate (gate_window%last_entry(capacity), gate_window%reversed(capacity), &
+      gate_window%time(capacity), gate_window%particle(capacity))
+  end subroutine reserve_gate_window
 
   !> Applies the rule to a batch of entries and to all crossings before `until`, which is after the
-  !> last entry. The result is that of single entries and crossings, but particles turned back and
+  !> last entry. The result is that of single entries and crossings, but particles reversed and
   !> particles that cross are listed in no order.
-  pure subroutine admit_entries(gate, stretch, entries, entry_time, crossing_time, &
-    entering_particle, until, turned_back, turned_particle, turned_at, crossed, crossing_particle, &
-    crossed_at)
+  pure subroutine admit_entries(gate, gate_window, entries, entry_time, crossing_time, &
+    entering_particle, until, reversed_count, reversed_particle, reversed_at, crossed, &
+    crossing_particle, crossed_at)
     type(gate_type), intent(inout) :: gate
-    type(stretch_type), intent(inout) :: stretch
+    type(gate_window_type), intent(inout) :: gate_window
     !> Number of entries.
     integer, intent(in) :: entries
     !> Time of each entry, ascending, and time at which its particle would reach the middle line,
@@ -221,66 +223,67 @@ contains
     !> Particle of each entry.
     integer, intent(in) :: entering_particle(entries)
     real(wp), intent(in) :: until
-    !> Length of the list of particles turned back; those of this gate are appended.
-    integer, intent(inout) :: turned_back
-    !> Particles turned back.
-    integer, intent(inout), contiguous :: turned_particle(:)
-    !> Time at which each is turned back.
-    real(wp), intent(inout), contiguous :: turned_at(:)
+    !> Length of the list of particles reversed; those of this gate are appended.
+    integer, intent(inout) :: reversed_count
+    !> Particles reversed.
+    integer, intent(inout), contiguous :: reversed_particle(:)
+    !> Time at which each is reversed.
+    real(wp), intent(inout), contiguous :: reversed_at(:)
     !> Length of the list of particles that cross; those of this gate are appended.
     integer, intent(inout) :: crossed
     !> Particles that cross.
     integer, intent(inout), contiguous :: crossing_particle(:)
     !> Time at which each crosses.
     real(wp), intent(inout), contiguous :: crossed_at(:)
-    integer :: held, rest
+    integer :: crossing_soon, still_inside
 
-    stretch%reversals = 0
+    gate_window%reversals = 0
     gate%entered = .false.
     associate (counted => gate%counted)
       if (entries == 0 .and. counted%next >= until) return
-      call pop_due(counted, until, held, stretch%time, stretch%particle)
-      stretch%time(held + 1:held + entries) = crossing_time
-      stretch%particle(held + 1:held + entries) = entering_particle
-      call apply_rule(most_inside(gate), counted%count, held, entries, entry_time, until, &
-        stretch%time, stretch%particle, counted%particle, stretch%reversals, stretch%last_entry, &
-        stretch%reversed, turned_back, turned_particle, turned_at, crossed, crossing_particle, &
-        crossed_at, rest)
-      if (stretch%reversals > 0) call empty_queue(counted)
-      call push_all(counted, rest, stretch%time, stretch%particle)
+      call pop_due(counted, until, crossing_soon, gate_window%time, gate_window%particle)
+      gate_window%time(crossing_soon + 1:crossing_soon + entries) = crossing_time
+      gate_window%particle(crossing_soon + 1:crossing_soon + entries) = entering_particle
+      call apply_rule(most_inside(gate), counted%count, crossing_soon, entries, entry_time, until, &
+        gate_window%time, gate_window%particle, counted%particle, gate_window%reversals, &
+        gate_window%last_entry, gate_window%reversed, reversed_count, reversed_particle, &
+        reversed_at, crossed, crossing_particle, crossed_at, still_inside)
+      if (gate_window%reversals > 0) call empty_queue(counted)
+      call push_all(counted, still_inside, gate_window%time, gate_window%particle)
     end associate
   end subroutine admit_entries
 
   !> Applies the rule to a batch of entries, by counting. `time` is the time at which each particle
-  !> would cross: first the `held` particles counted before, then those that enter, in order.
-  !> `staying` other counted particles, which are not in these arrays, cross after `until`. On exit
-  !> the first `rest` of `time` and `particle` are the particles still inside.
+  !> would cross: first the `crossing_soon` particles counted before, then those that enter, in
+  !> order. `crossing_later` other counted particles, which are not in these arrays, cross after
+  !> `until`. On exit the first `still_inside` of `time` and `particle` are the particles still
+  !> inside.
   !>
   !> An entry adds at most one to the count: if `inside` are counted at an entry, the gate cannot
   !> reverse before the (most + 1 - inside)-th entry after it. The entries in between are skipped.
   !> At an entry that is examined, the particles inside are counted by a loop without branches.
-  pure subroutine apply_rule(most, staying, held, entries, entry_time, until, time, particle, &
-    staying_particle, reversals, last_entry, reversed, turned_back, turned_particle, turned_at, &
-    crossed, crossing_particle, crossed_at, rest)
-    integer, intent(in) :: most, staying, held, entries
+  pure subroutine apply_rule(most, crossing_later, crossing_soon, entries, entry_time, until, &
+    time, particle, later_particle, reversals, last_entry, reversed, reversed_count, &
+    reversed_particle, reversed_at, crossed, crossing_particle, crossed_at, still_inside)
+    integer, intent(in) :: most, crossing_later, crossing_soon, entries
     real(wp), intent(in) :: entry_time(entries), until
-    real(wp), intent(inout) :: time(held + entries)
-    integer, intent(inout) :: particle(held + entries)
-    integer, intent(in), contiguous :: staying_particle(:)
+    real(wp), intent(inout) :: time(crossing_soon + entries)
+    integer, intent(inout) :: particle(crossing_soon + entries)
+    integer, intent(in), contiguous :: later_particle(:)
     integer, intent(inout) :: reversals
     integer, intent(inout), contiguous :: last_entry(:), reversed(:)
-    integer, intent(inout) :: turned_back, crossed
-    integer, intent(inout), contiguous :: turned_particle(:), crossing_particle(:)
-    real(wp), intent(inout), contiguous :: turned_at(:), crossed_at(:)
-    integer, intent(out) :: rest
+    integer, intent(inout) :: reversed_count, crossed
+    integer, intent(inout), contiguous :: reversed_particle(:), crossing_particle(:)
+    real(wp), intent(inout), contiguous :: reversed_at(:), crossed_at(:)
+    integer, intent(out) :: still_inside
     integer :: limit, others, first, last, k, inside
 
     limit = min(most, shiftr(huge(1), 1))
-    others = staying
+    others = crossing_later
     first = 1
-    k = max(1, limit + 1 - held - others)
+    k = max(1, limit + 1 - crossing_soon - others)
     do while (k <= entries)
-      last = held + k
+      last = crossing_soon + k
       inside = others + count_after(last - first + 1, time(first:last), entry_time(k))
       if (inside <= limit) then
         k = k + limit + 1 - inside
@@ -291,29 +294,29 @@ contains
         if (entry_time(k + 1) > entry_time(k)) exit
         k = k + 1
       end do
-      last = held + k
+      last = crossing_soon + k
       reversals = reversals + 1
       last_entry(reversals) = k
-      reversed(reversals) = turned_back
-      turned_particle(turned_back + 1:turned_back + others) = staying_particle(:others)
-      turned_at(turned_back + 1:turned_back + others) = entry_time(k)
-      turned_back = turned_back + others
+      reversed(reversals) = reversed_count
+      reversed_particle(reversed_count + 1:reversed_count + others) = later_particle(:others)
+      reversed_at(reversed_count + 1:reversed_count + others) = entry_time(k)
+      reversed_count = reversed_count + others
       call split_at_reversal(last - first + 1, time(first:last), particle(first:last), &
-        entry_time(k), turned_back, turned_particle, turned_at, crossed, crossing_particle, &
+        entry_time(k), reversed_count, reversed_particle, reversed_at, crossed, crossing_particle, &
         crossed_at)
-      reversed(reversals) = turned_back - reversed(reversals)
+      reversed(reversals) = reversed_count - reversed(reversals)
       others = 0
       first = last + 1
       k = k + max(limit, 0) + 1
     end do
-    rest = 0
-    do k = first, held + entries
+    still_inside = 0
+    do k = first, crossing_soon + entries
       crossing_particle(crossed + 1) = particle(k)
       crossed_at(crossed + 1) = time(k)
       crossed = crossed + merge(1, 0, time(k) < until)
-      particle(rest + 1) = particle(k)
-      time(rest + 1) = time(k)
-      rest = rest + merge(0, 1, time(k) < until)
+      particle(still_inside + 1) = particle(k)
+      time(still_inside + 1) = time(k)
+      still_inside = still_inside + merge(0, 1, time(k) < until)
     end do
   end subroutine apply_rule
 
@@ -327,21 +330,21 @@ contains
   end function count_after
 
   !> Splits the particles counted up to a reversal into those that have crossed before it and those
-  !> that it turns back.
-  pure subroutine split_at_reversal(n, time, particle, instant, turned_back, turned_particle, &
-    turned_at, crossed, crossing_particle, crossed_at)
+  !> that it reverses.
+  pure subroutine split_at_reversal(n, time, particle, instant, reversed_count, reversed_particle, &
+    reversed_at, crossed, crossing_particle, crossed_at)
     integer, intent(in) :: n
     real(wp), intent(in) :: time(n), instant
     integer, intent(in) :: particle(n)
-    integer, intent(inout) :: turned_back, crossed
-    integer, intent(inout), contiguous :: turned_particle(:), crossing_particle(:)
-    real(wp), intent(inout), contiguous :: turned_at(:), crossed_at(:)
+    integer, intent(inout) :: reversed_count, crossed
+    integer, intent(inout), contiguous :: reversed_particle(:), crossing_particle(:)
+    real(wp), intent(inout), contiguous :: reversed_at(:), crossed_at(:)
     integer :: k
 
     do k = 1, n
-      turned_particle(turned_back + 1) = particle(k)
-      turned_at(turned_back + 1) = instant
-      turned_back = turned_back + merge(1, 0, time(k) > instant)
+      reversed_particle(reversed_count + 1) = particle(k)
+      reversed_at(reversed_count + 1) = instant
+      reversed_count = reversed_count + merge(1, 0, time(k) > instant)
       crossing_particle(crossed + 1) = particle(k)
       crossed_at(crossed + 1) = time(k)
       crossed = crossed + merge(0, 1, time(k) > instant)
@@ -356,7 +359,7 @@ contains
     call rebase_queue(gate%counted, shift)
   end subroutine rebase_gate
 
-  !> Serialises the counted particles; the threshold is part of the setup.
+  !> Saves or restores the counted particles; the threshold is part of the setup.
   pure subroutine serialize_gate(gate, archive)
     type(gate_type), intent(inout) :: gate
     type(archive_type), intent(inout) :: archive

@@ -34,15 +34,15 @@ contains
     !> Problem, with its place in the line and the allowed values.
     character(len=*), intent(in) :: text
     type(remark_type) :: remark
-    integer :: place, told
+    integer :: place, reported
 
     remark%line = line
     remark%text = text
-    told = min(remarks%count, most_reported)
-    place = 1 + count(remarks%first(:told)%line <= line)
+    reported = min(remarks%count, most_reported)
+    place = 1 + count(remarks%first(:reported)%line <= line)
     if (place <= most_reported) then
-      told = min(told + 1, most_reported)
-      remarks%first(place + 1:told) = remarks%first(place:told - 1)
+      reported = min(reported + 1, most_reported)
+      remarks%first(place + 1:reported) = remarks%first(place:reported - 1)
       remarks%first(place) = remark
     end if
     if (line >= remarks%last%line) remarks%last = remark

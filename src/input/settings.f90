@@ -212,7 +212,8 @@ contains
     setting%given = .false.
   end subroutine set_default
 
-  !> Sets a key to the values given in an entry.
+  !> Sets a key to the values that an entry of the namelist assigns to it; adds what is wrong with
+  !> them to `problems`.
   subroutine set_from_entry(entry, setting, problems)
     type(entry_type), intent(in) :: entry
     type(setting_type), intent(inout) :: setting
@@ -388,7 +389,8 @@ contains
     call get_value_at(settings%all(find_setting(settings, group, name)), 1, value)
   end subroutine get_one_value
 
-  !> Gets both values of a key of two numbers.
+  !> Copies both values of a key of two numbers to `value`: a single number
+  !> stands for both.
   pure subroutine get_two_values(settings, group, name, value)
     type(settings_type), intent(in) :: settings
     character(len=*), intent(in) :: group, name

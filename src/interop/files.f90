@@ -11,13 +11,13 @@ module battery_files
   private
   public :: file_exists, is_readable, is_writable, is_disk_error, files_matching
   public :: sync_file, rename_file, remove_file, make_folder, publish_file, create_new_file
-  public :: file_identity_type, file_identity_at, has_identity, publish_unless_replaced
+  public :: file_stamp_type, file_stamp_at, has_stamp, publish_unless_replaced
 
-  !> Identity of the file that a name referred to at one time; initially: no file.
-  type :: file_identity_type
+  !> Stamp of the file that a name referred to at one time; initially: no file.
+  type :: file_stamp_type
     private
     integer(c_int64_t) :: mark(5) = 0
-  end type file_identity_type
+  end type file_stamp_type
 
   procedure(number_of_path), bind(c, name='battery_exists') :: c_exists
   procedure(number_of_path), bind(c, name='battery_may_read') :: c_may_read
@@ -114,35 +114,35 @@ contains
     call sync_file(folder_of(final), error)
   end subroutine publish_file
 
-  !> Identity of the file that a name refers to now, to detect later that it was replaced.
-  function file_identity_at(path) result(seen)
+  !> Stamp of the file that a name refers to now, to detect later that it was replaced.
+  function file_stamp_at(path) result(seen)
     !> Links are not followed.
     character(len=*), intent(in) :: path
-    type(file_identity_type) :: seen
+    type(file_stamp_type) :: seen
 
     call c_look_at(path//c_null_char, seen%mark)
-  end function file_identity_at
+  end function file_stamp_at
 
   !> Whether a name still refers to the file that it referred to before.
-  function has_identity(path, before) result(yes)
+  function has_stamp(path, before) result(yes)
     !> Links are not followed.
     character(len=*), intent(in) :: path
-    !> Identity before, from `file_identity_at`.
-    type(file_identity_type), intent(in) :: before
+    !> Stamp before, from `file_stamp_at`.
+    type(file_stamp_type), intent(in) :: before
     logical :: yes
-    type(file_identity_type) :: now
+    type(file_stamp_type) :: now
 
-    now = file_identity_at(path)
+    now = file_stamp_at(path)
     yes = all(now%mark == before%mark)
-  end function has_identity
+  end function has_stamp
 
   !> As `publish_file`, for a temporary file that is synced to disk, but replaces only the file with
-  !> the given identity: otherwise the file keeps its temporary name, and there is an error.
+  !> the given stamp: otherwise the file keeps its temporary name, and there is an error.
   subroutine publish_unless_replaced(temporary, final, before, error)
     !> Paths of the two files, in one folder.
     character(len=*), intent(in) :: temporary, final
-    !> Identity of the file that may be replaced.
-    type(file_identity_type), intent(in) :: before
+    !> Stamp of the file that may be replaced.
+    type(file_stamp_type), intent(in) :: before
     type(error_type), allocatable, intent(out) :: error
     character(len=:), allocatable :: what
     integer :: status

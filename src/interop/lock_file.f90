@@ -19,7 +19,7 @@ module battery_lock_file
   use battery_kinds, only: dp
   use battery_error, only: error_type, fatal_error, exit_bad_input, exit_failure, exit_stopped_early
   use battery_files, only: is_disk_error, file_exists, create_new_file, remove_file, &
-    file_identity_type, file_identity_at
+    file_stamp_type, file_stamp_at
   use battery_fingerprint, only: fingerprint_of, fingerprint_text
   use battery_paths, only: system_message, folder_of
   use battery_clocks, only: wall_seconds, sleep_for
@@ -46,7 +46,7 @@ module battery_lock_file
     !> Path of the lock file, and its text while this run owns the output; not allocated: no lock.
     character(len=:), allocatable :: path, text
     !> Identity of the output file when the lock was acquired, on rank 0 alone.
-    type(file_identity_type) :: before
+    type(file_stamp_type) :: before
     !> The open lock file, on rank 0 alone.
     type(c_ptr), private :: handle = c_null_ptr
   end type lock_type
@@ -95,7 +95,7 @@ contains
         longest_text, lock%handle)
       select case (outcome)
       case (taken)
-        lock%before = file_identity_at(file)
+        lock%before = file_stamp_at(file)
         return
       case (held, unknown)
         if (wall_seconds() > last_attempt) then

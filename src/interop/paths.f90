@@ -79,7 +79,7 @@ contains
     end if
   end function folder_of
 
-  !> Folder of a file, with links resolved; empty if it does not exist.
+  !> Folder of a file, with links resolved; empty if the folder does not exist.
   function real_folder_of(path) result(folder)
     !> Path of a file.
     character(len=*), intent(in) :: path

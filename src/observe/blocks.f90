@@ -147,7 +147,7 @@ contains
     error = sqrt(sum(squares)/(real(n, dp)*real(n - 1, dp)))
   end function error_of_mean
 
-  !> Serialises the blocks.
+  !> Saves or restores the block averages.
   pure subroutine serialize_blocks(blocks, archive)
     type(blocks_type), intent(inout) :: blocks
     type(archive_type), intent(inout) :: archive

@@ -5,8 +5,9 @@
 !> the start of the run. Source: mass spread eq. (mass), net current eq. (netJ), with its sign:
 !> (n12 - n21)/t.
 !>
-!> **Polarised current.** A crossing from the fuller half to the emptier one counts 1, one in the
-!> other direction -1, and 0 if N1 - N2 averages to 0 over before and after. So a crossing changes
+!> **Polarised current.** A crossing of channel 2 counts with the sign of the mean of N1 - N2 before
+!> and after it: 1 from the fuller half to the emptier one, -1 in the other direction, and 0 if the
+!> crossing changes N1 - N2 from 1 to -1 or back. So a crossing changes
 !> |N1 - N2| by -2 times its count, and over any time the counts of both channels add up to (|N1 -
 !> N2| at the start less that at the end)/2: up to that, the current down the polarisation through
 !> channel 2 equals the one up through channel 1.
@@ -22,7 +23,7 @@
 module battery_observer
   use battery_kinds, only: wp, dp, int64
   use battery_blocks, only: blocks_type, add_block, standard_error, serialize_blocks
-  use battery_channel, only: gated, ungated
+  use battery_channel, only: channel1, channel2
   use battery_event_record, only: event_record_type, channel1_12, channel2_12, channel_of
   use battery_quantities, only: measured_type, set_average, set_count, flow_names, &
     unknown_real
@@ -59,7 +60,7 @@ module battery_observer
     logical :: circuit_closed = .true.
     !> Relaxation time of the directions of motion.
     real(wp) :: relaxation = 0.0_wp
-    !> Since the start: reversals of each gate, particles turned back, wall collisions reported.
+    !> Since the start: reversals of each gate, particles reversed, wall collisions reported.
     integer(int64) :: reversals(2) = 0, bounce_backs = 0, collisions = 0
     !> Reversals of each gate before measuring began.
     integer(int64) :: transient_reversals(2) = 0
@@ -93,10 +94,10 @@ module battery_observer
 
 contains
 
-  !> Makes an observer of `number` particles, `urn1_number` of them in half 1. If `series_interval`
-  !> > 0 it records a series, whose first entry is the start. The initial length of blocks is `unit`
-  !> (if absent, 1): a length of the table, so that a table scaled by a power of two has the same
-  !> blocks.
+  !> Makes an observer of `number` particles, `urn1_number` of them in half 1 of the table (urn 1
+  !> and its half channels). If `series_interval` > 0 it records a series, whose first entry is the
+  !> start. The initial duration of blocks is `unit` (if absent, 1): a length of the table over the
+  !> speed 1, so that a table scaled by a power of two has the same blocks.
   pure function new_observer(number, urn1_number, two_halves, series_interval, unit, &
     circuit_closed, relaxation) result(observer)
     integer, intent(in) :: number, urn1_number
@@ -167,7 +168,7 @@ contains
         observer%crossings(crossing) = observer%crossings(crossing) + 1
         channel = channel_of(crossing)
         observer%block_net(channel) = observer%block_net(channel) + way
-        if (channel == ungated) observer%block_downward = observer%block_downward + down
+        if (channel == channel2) observer%block_downward = observer%block_downward + down
       end if
     end do
     call integrate_interval(observer, event_record%duration - last)
@@ -215,9 +216,9 @@ contains
     call add_block(observer%blocks(of_chi), &
       observer%block_spread/(observer%block_time*real(observer%number, wp)))
     call add_block(observer%blocks(of_current1), &
-      real(observer%block_net(gated), wp)/observer%block_time)
+      real(observer%block_net(channel1), wp)/observer%block_time)
     call add_block(observer%blocks(of_current2), &
-      real(observer%block_net(ungated), wp)/observer%block_time)
+      real(observer%block_net(channel2), wp)/observer%block_time)
     call add_block(observer%blocks(of_polarised), &
       real(observer%block_downward, wp)/observer%block_time)
     call add_block(observer%blocks(of_difference), &
@@ -265,7 +266,8 @@ contains
     call move_alloc(flow, observer%series_flow)
   end subroutine lengthen_series
 
-  !> Sets the averages and counts of the observer in `measured`; the other quantities do not change.
+  !> Sets the averages and counts of the observer in `measured`; quantities that others measure
+  !> (collisions, times) do not change.
   pure subroutine get_measured(observer, measured)
     type(observer_type), intent(in) :: observer
     type(measured_type), intent(inout) :: measured
@@ -334,7 +336,7 @@ contains
     polarity_resolved = count(positive(2:) .neqv. positive(:size(positive) - 1)) >= least_changes
   end function polarity_resolved
 
-  !> Serialises all that is needed to continue observing to the same last bit.
+  !> Saves or restores all that is needed to continue observing to the same last bit.
   pure subroutine serialize_observer(observer, archive)
     type(observer_type), intent(inout) :: observer
     type(archive_type), intent(inout) :: archive

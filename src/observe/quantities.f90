@@ -78,7 +78,7 @@ contains
       quantity_type('bounce_backs', '1', &
       'particles turned back by gates, the transient included'), &
       quantity_type('reversals', '1', 'reversals of gates, those of the transient included'), &
-      quantity_type('trapped', '1', 'particles in the urns that never reach a channel'), &
+      quantity_type('trapped', '1', 'particles that never leave their urn or channel'), &
       quantity_type('provenance/host', '1', 'line of the attribute hosts of /provenance, from 0')]
   end function counted_quantities
 
@@ -86,7 +86,7 @@ contains
   pure function place_of(name, list) result(place)
     !> As in results files.
     character(len=*), intent(in) :: name
-    !> One of the two lists.
+    !> `averaged_quantities()` or `counted_quantities()`.
     type(quantity_type), intent(in) :: list(:)
     integer :: place
 

@@ -66,10 +66,10 @@ contains
   logical function enough_memory(bytes) result(enough)
     !> Bytes in addition to those allocated already.
     real(dp), intent(in) :: bytes
-    type(free_memory_type) :: left
+    type(free_memory_type) :: available
 
-    if (bytes > little) left = available_memory(1)
-    enough = bytes <= little .or. bytes + base_bytes <= left%bytes
+    if (bytes > little) available = available_memory(1)
+    enough = bytes <= little .or. bytes + base_bytes <= available%bytes
   end function enough_memory
 
   !> An error if `bytes` for `what` cannot be allocated: a failed allocation would end the program,
@@ -79,12 +79,12 @@ contains
     real(dp), intent(in) :: bytes
     character(len=*), intent(in) :: what
     type(error_type), allocatable, intent(out) :: error
-    type(free_memory_type) :: left
+    type(free_memory_type) :: available
 
     if (enough_memory(bytes)) return
-    left = available_memory(1)
+    available = available_memory(1)
     call fatal_error(error, 'no memory for '//what//': '//size_text(bytes + base_bytes) &
-      //' are needed, '//size_text(left%bytes)//' are available ('//left%limit//')')
+      //' are needed, '//size_text(available%bytes)//' are available ('//available%limit//')')
   end subroutine check_memory
 
   !> A number of bytes with a unit, rounded up: `35 MB`, `12 GB`.
@@ -106,26 +106,27 @@ contains
 
   !> Memory that this process can still allocate, if `sharing` processes on the machine need equal
   !> amounts.
-  type(free_memory_type) function available_memory(sharing) result(left)
+  type(free_memory_type) function available_memory(sharing) result(available)
     integer, intent(in) :: sharing
 
-    left%limit = 'no limit'
-    call reduce_to_limit(left, kilobyte*number_after('/proc/meminfo', 'MemAvailable:')/sharing, &
-      'free memory')
-    call reduce_to_limit(left, bytes_in_groups()/sharing, 'memory of the control group')
-    call reduce_to_limit(left, bytes_under_limit(0_c_int, 'VmSize:'), 'address space, ulimit -v')
-    call reduce_to_limit(left, bytes_under_limit(1_c_int, 'VmData:'), 'data, ulimit -d')
+    available%limit = 'no limit'
+    call reduce_to_limit(available, kilobyte*number_after('/proc/meminfo', 'MemAvailable:') &
+      /sharing, 'free memory')
+    call reduce_to_limit(available, bytes_in_groups()/sharing, 'memory of the control group')
+    call reduce_to_limit(available, bytes_under_limit(0_c_int, 'VmSize:'), &
+      'address space, ulimit -v')
+    call reduce_to_limit(available, bytes_under_limit(1_c_int, 'VmData:'), 'data, ulimit -d')
   end function available_memory
 
   !> Reduces the available memory to `bytes` if that is less.
-  pure subroutine reduce_to_limit(left, bytes, limit)
-    type(free_memory_type), intent(inout) :: left
+  pure subroutine reduce_to_limit(available, bytes, limit)
+    type(free_memory_type), intent(inout) :: available
     real(dp), intent(in) :: bytes
     character(len=*), intent(in) :: limit
 
-    if (bytes >= left%bytes) return
-    left%bytes = max(bytes, 0.0_dp)
-    left%limit = limit
+    if (bytes >= available%bytes) return
+    available%bytes = max(bytes, 0.0_dp)
+    available%limit = limit
   end subroutine reduce_to_limit
 
   !> Bytes left below a limit of this process; `used` names the used bytes in its status.

@@ -10,7 +10,7 @@
 !> The number of particles in the sparse urn follows from the balance of flows through both
 !> channels, with the load of the dense gate times 0.85 (the paper's theory has 1). R is that of a
 !> gate with exponentially distributed passage times, in closed form. The factors 3 and 0.85 are
-!> fitted to the theory of the currents and to runs of many ages; docs/command_line.md has the
+!> fitted to the theory of the currents and to runs of many ages; studies/age_of_a_run has the
 !> deviations of (1) from both.
 !>
 !> The fit, and so the use of (1), is for equal discs with equal gates, channels without scatterers,
@@ -19,7 +19,7 @@
 module battery_current_age
   use battery_kinds, only: dp, int64
   use battery_plan, only: plan_type, point_type, point_of, point_text, table_of
-  use battery_table, only: table_type, area, perimeter, gated, ungated
+  use battery_table, only: table_type, area, perimeter, channel1, channel2
   use battery_text, only: to_text
   implicit none (type, external)
   private
@@ -116,19 +116,19 @@ contains
     integer :: threshold
 
     threshold = point%threshold(1)
-    width = real(point%channel(gated)%width, dp)
-    width2 = real(point%channel(ungated)%width, dp)
+    width = real(point%channel(channel1)%width, dp)
+    width2 = real(point%channel(channel2)%width, dp)
     radius = real(point%urn_radius(1), dp)
     if (point%threshold(2) /= threshold .or. threshold < 1 .or. threshold > largest_threshold &
       .or. abs(real(point%urn_radius(2), dp) - radius) > 0.0_dp .or. .not. width2 > 0.0_dp &
       .or. .not. width > 0.0_dp .or. point%number < 2) return
     ! Mean number in a gate over number in its urn: w/(pi A) entries per unit of time, each for pi
     ! l/4.
-    load = width*real(point%channel(gated)%length, dp)/(4.0_dp*pi*radius**2)
+    load = width*real(point%channel(channel1)%length, dp)/(4.0_dp*pi*radius**2)
     sparse = sparse_number(real(point%number, dp), threshold, width2/width, load)
     if (sparse > 0.5_dp*(1.0_dp - polarised)*real(point%number, dp)) return
     round_length = sqrt(4.0_dp*radius**2 - width**2) + sqrt(4.0_dp*radius**2 - width2**2) &
-      + real(point%channel(gated)%length + point%channel(ungated)%length, dp)
+      + real(point%channel(channel1)%length + point%channel(channel2)%length, dp)
     found%growth = steepness*width2/round_length
     found%lifetime = round_length/reversed_share(threshold, load*sparse)
   end function circulation_at

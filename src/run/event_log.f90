@@ -49,7 +49,7 @@ contains
     log%count = total
   end subroutine append_events
 
-  !> Serialises the event log.
+  !> Saves or restores the event log.
   subroutine serialize_events(log, archive)
     !> Log of one run.
     type(event_log_type), intent(inout) :: log

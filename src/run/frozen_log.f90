@@ -116,16 +116,16 @@ contains
       problem = 'the run does not end'
       return
     end if
-    associate (found => simulation%events)
+    associate (recorded => simulation%events)
       same = 0
-      do k = 1, min(found%count, size(log%times))
-        alike = all(log%events(:, k) == [found%event(k)%kind, found%event(k)%where, &
-          found%event(k)%particle]) .and. abs(found%event(k)%time - log%times(k)) <= &
+      do k = 1, min(recorded%count, size(log%times))
+        alike = all(log%events(:, k) == [recorded%event(k)%kind, recorded%event(k)%where, &
+          recorded%event(k)%particle]) .and. abs(recorded%event(k)%time - log%times(k)) <= &
           log%time_tolerance
         if (.not. alike) exit
         same = k
       end do
-      if (same < max(found%count, size(log%times))) then
+      if (same < max(recorded%count, size(log%times))) then
         problem = 'event '//to_text(same + 1)//' of '//to_text(size(log%times))//' differs'
         return
       end if

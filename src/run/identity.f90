@@ -37,8 +37,8 @@ contains
     identity = fingerprint_start
     call mix_word(identity, fingerprint_of(setup%engine))
     associate (table => setup%table)
-      call mix_word(identity, int(table%sides, int64))
-      do k = 1, table%sides
+      call mix_word(identity, int(table%urn_count, int64))
+      do k = 1, table%urn_count
         call mix_real(identity, table%urn(k)%radius)
         if (table%urn(k)%shape == shape_polygon) then
           do j = 1, table%urn(k)%polygon%sides

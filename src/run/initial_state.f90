@@ -205,7 +205,8 @@ contains
   end subroutine read_line
 
   !> Finds the four columns of a line, which are separated by blanks or by one comma with or without
-  !> blanks; `problem` is empty if there are four.
+  !> blanks: the positions in the line at which they start (`first`) and end (`last`); `problem` is
+  !> empty if there are four.
   pure subroutine find_columns(line, first, last, problem)
     character(len=*), intent(in) :: line
     integer, intent(out) :: first(4), last(4)

@@ -21,27 +21,28 @@ module battery_keys
 
 contains
 
-  !> All keys; those of &scan are twins of keys of other groups, the slowest first: a list and a
-  !> range for each.
+  !> All keys. For each key of another group that can be scanned, &scan has two: a list and a range;
+  !> the slowest come first.
   pure function all_keys() result(keys)
     type(key_type), allocatable :: keys(:)
 
     keys = keys_before_scan()
     keys = [keys, &
-      twins(keys, 'gate', 'threshold'), &
-      twins(keys, 'gate', 'threshold', 'gate 2'), &
-      twins(keys, 'gate', 'threshold_fraction'), &
-      twins(keys, 'particles', 'number'), &
-      twins(keys, 'table', 'channel1_width'), &
-      twins(keys, 'table', 'channel2_width'), &
-      twins(keys, 'table', 'channel1_length'), &
-      twins(keys, 'table', 'channel2_length'), &
-      twins(keys, 'table', 'urn_radius'), &
-      twins(keys, 'table', 'urn_radius', 'urn 2'), &
-      twins(keys, 'particles', 'urn1_fraction'), &
+      scan_keys_of(keys, 'gate', 'threshold'), &
+      scan_keys_of(keys, 'gate', 'threshold', 'gate 2'), &
+      scan_keys_of(keys, 'gate', 'threshold_fraction'), &
+      scan_keys_of(keys, 'particles', 'number'), &
+      scan_keys_of(keys, 'table', 'channel1_width'), &
+      scan_keys_of(keys, 'table', 'channel2_width'), &
+      scan_keys_of(keys, 'table', 'channel1_length'), &
+      scan_keys_of(keys, 'table', 'channel2_length'), &
+      scan_keys_of(keys, 'table', 'urn_radius'), &
+      scan_keys_of(keys, 'table', 'urn_radius', 'urn 2'), &
+      scan_keys_of(keys, 'particles', 'urn1_fraction'), &
       keys_behind_scan()]
   end function all_keys
 
+  !> The keys of &table, &particles, &gate and &run.
   pure function keys_before_scan() result(keys)
     type(key_type), allocatable :: keys(:)
 
@@ -108,6 +109,7 @@ contains
       above=.true., unit='time')]
   end function keys_before_scan
 
+  !> The other keys: `replicas` of &scan, and &precision, &output and &limits.
   pure function keys_behind_scan() result(keys)
     type(key_type), allocatable :: keys(:)
 
@@ -143,23 +145,24 @@ contains
 
   !> The list and the range of a key that can be scanned, with the bounds and the unit of the key;
   !> or those of its second number alone, which belongs to `whose` (such as `urn 2`).
-  pure function twins(others, group, name, whose) result(pair)
-    type(key_type), intent(in) :: others(:)
+  pure function scan_keys_of(keys, group, name, whose) result(scan_keys)
+    type(key_type), intent(in) :: keys(:)
     character(len=*), intent(in) :: group, name
     character(len=*), intent(in), optional :: whose
-    type(key_type) :: pair(2)
+    type(key_type) :: scan_keys(2)
 
-    pair = others(find_key(others, group, name))
-    pair%group = 'scan'
-    pair%default = ''
-    if (present(whose)) pair%name = name//'2'
-    pair(2)%name = trim(pair(1)%name)//'_range'
-    pair%most_values = [most_values, 3]
-    pair(2)%is_range = .true.
-    pair(2)%kind = real_key
-    pair%meaning = [character(len=80) :: 'values of &'//group//' '//name, 'the same, evenly spaced']
-    if (present(whose)) pair(1)%meaning = 'values for '//whose//', in pairs with '//name &
+    scan_keys = keys(find_key(keys, group, name))
+    scan_keys%group = 'scan'
+    scan_keys%default = ''
+    if (present(whose)) scan_keys%name = name//'2'
+    scan_keys(2)%name = trim(scan_keys(1)%name)//'_range'
+    scan_keys%most_values = [most_values, 3]
+    scan_keys(2)%is_range = .true.
+    scan_keys(2)%kind = real_key
+    scan_keys%meaning = [character(len=80) :: 'values of &'//group//' '//name, &
+      'the same, evenly spaced']
+    if (present(whose)) scan_keys(1)%meaning = 'values for '//whose//', in pairs with '//name &
       //' if that is a list'
-  end function twins
+  end function scan_keys_of
 
 end module battery_keys

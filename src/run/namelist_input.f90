@@ -4,7 +4,7 @@ module battery_namelist_input
   use battery_kinds, only: wp
   use battery_error, only: error_type, fatal_error, exit_bad_input
   use battery_text, only: to_text, new_line_character
-  use battery_table, only: gated, ungated
+  use battery_table, only: channel1, channel2
   use battery_remarks, only: add_remark, remarks_text, displayable_text
   use battery_settings, only: settings_type, read_settings, find_setting, get_value, &
     get_list, get_text
@@ -61,10 +61,10 @@ contains
       call get_text(settings, 'table', 'shape', plan%shape)
       call get_value(settings, 'table', 'urn_radius', base%urn_radius)
       call fill_outlines(settings, plan)
-      call get_value(settings, 'table', 'channel1_width', base%channel(gated)%width)
-      call get_value(settings, 'table', 'channel1_length', base%channel(gated)%length)
-      call get_value(settings, 'table', 'channel2_width', base%channel(ungated)%width)
-      call get_value(settings, 'table', 'channel2_length', base%channel(ungated)%length)
+      call get_value(settings, 'table', 'channel1_width', base%channel(channel1)%width)
+      call get_value(settings, 'table', 'channel1_length', base%channel(channel1)%length)
+      call get_value(settings, 'table', 'channel2_width', base%channel(channel2)%width)
+      call get_value(settings, 'table', 'channel2_length', base%channel(channel2)%length)
       call get_list(settings, 'table', 'scatterers', plan%scatterers)
       call get_value(settings, 'particles', 'number', base%number)
       call get_value(settings, 'particles', 'urn1_number', base%urn1_number)

@@ -203,8 +203,9 @@ contains
     end associate
   end subroutine check_axis
 
-  !> Checks that urns and channels of a point fit together: openings must be narrower than their
-  !> sides, and no polygon may extend into a channel.
+  !> Checks that urns and channels of a point of the scan fit together: openings must be narrower
+  !> than their sides, and no polygon may extend into a channel. Adds what is wrong to the problems
+  !> of the plan.
   subroutine check_outline_at(plan, point)
     type(plan_type), intent(inout) :: plan
     type(point_type), intent(in) :: point

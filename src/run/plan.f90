@@ -11,7 +11,7 @@ module battery_plan
   use battery_kinds, only: wp, int64
   use battery_urn, only: shape_polygon
   use battery_table, only: table_type, urn_type, channel_type, new_table, shape_circuit, &
-    shape_urn, gated, ungated
+    shape_urn, channel1, channel2
   use battery_corners, only: regular_corners
   use battery_engine, only: particles_type
   use battery_simulation, only: run_type, setup_type
@@ -167,7 +167,7 @@ contains
     if (any(point%threshold_fraction >= 0.0_wp)) &
       point%threshold = rounded(point%threshold_fraction*point%number)
     if (plan%shape == 'urn') then
-      point%channel(ungated)%width = 0.0_wp
+      point%channel(channel2)%width = 0.0_wp
       if (point%urn1_number == not_given) point%urn1_number = point%number
     else if (point%urn1_fraction >= 0.0_wp) then
       point%urn1_number = rounded(point%urn1_fraction*point%number)
@@ -232,13 +232,13 @@ contains
     case ('urn_radius2')
       point%urn_radius(2) = value
     case ('channel1_width')
-      point%channel(gated)%width = value
+      point%channel(channel1)%width = value
     case ('channel1_length')
-      point%channel(gated)%length = value
+      point%channel(channel1)%length = value
     case ('channel2_width')
-      point%channel(ungated)%width = value
+      point%channel(channel2)%width = value
     case ('channel2_length')
-      point%channel(ungated)%length = value
+      point%channel(channel2)%length = value
     case default
       error stop 'a key is scanned that no point has'
     end select

@@ -76,6 +76,7 @@ contains
 
   contains
 
+    !> Adds a problem to the plan if `key` is scanned, which `reason` forbids.
     subroutine refuse_scan(key, reason)
       character(len=*), intent(in) :: key, reason
 
@@ -130,6 +131,7 @@ contains
     end do
   end subroutine check_precision
 
+  !> Checks the keys of &output; adds what is wrong to the problems of the plan.
   pure subroutine check_output(plan)
     type(plan_type), intent(inout) :: plan
     integer :: at
@@ -172,7 +174,7 @@ contains
       numbers = [real(plan%base%number, wp)]
     ! A closed channel has no length.
     widths = values_of(plan, 'channel2_width')
-    if (size(widths) == 0) widths = [plan%base%channel(ungated)%width]
+    if (size(widths) == 0) widths = [plan%base%channel(channel2)%width]
     do at = 1, size(plan%scanned)
       values = plan%scanned(at)%values
       again = first_repeat(values, plan%scanned(at)%second)
@@ -269,7 +271,7 @@ contains
     before = size(plan%problems)
     radii = [minval(point%urn_radius), maxval(point%urn_radius)]
     if (plan%shape == 'urn') radii = point%urn_radius(1)
-    longest = max(point%channel(gated)%length, open_length(point))
+    longest = max(point%channel(channel1)%length, open_length(point))
     call check_lengths(plan, point, radii, longest)
     if (sound .and. size(plan%problems) == before) call check_outline_at(plan, point)
     if (size(plan%problems) == before) call check_times(plan, radii(1), max(radii(2), &
@@ -307,13 +309,13 @@ contains
       return
     end if
     where = ''
-    associate (channel => point%channel(ungated))
+    associate (channel => point%channel(channel2))
       if (is_scanned(plan, 'channel2_width')) where = ', at channel2_width = ' &
         //to_text(channel%width)
       if (is_scanned(plan, 'channel2_length')) where = where//', at channel2_length = ' &
         //to_text(channel%length)
-      associate (wrong => scatterer_problems(plan%scatterers, channel, finest &
-        *max(maxval(point%urn_radius), point%channel(gated)%length, channel%length)))
+      associate (wrong => scatterer_problems(plan%scatterers, channel, &
+        finest*max(maxval(point%urn_radius), point%channel(channel1)%length, channel%length)))
         do at = 1, size(wrong)
           call refuse_value(plan, wrong(at)%key, wrong(at)%value, wrong(at)%allowed//where)
         end do
@@ -347,13 +349,13 @@ contains
       greatest_radius, of_powers))
     if (size(plan%problems) > before) return
     call check_beside(trim(size_key), radii(2), longest)
-    call check_beside('channel1_length', point%channel(gated)%length, open_length(point))
+    call check_beside('channel1_length', point%channel(channel1)%length, open_length(point))
     if (open_length(point) > 0.0_wp) call check_beside('channel2_length', &
-      point%channel(ungated)%length, point%channel(gated)%length)
+      point%channel(channel2)%length, point%channel(channel1)%length)
     ! Relative to a length that is not allowed, no other can be checked.
     if (size(plan%problems) > before) return
-    call check_width('channel1_width', point%channel(gated)%width)
-    call check_width('channel2_width', point%channel(ungated)%width)
+    call check_width('channel1_width', point%channel(channel1)%width)
+    call check_width('channel2_width', point%channel(channel2)%width)
 
   contains
 
@@ -426,7 +428,7 @@ contains
   pure real(wp) function open_length(point) result(length)
     type(point_type), intent(in) :: point
 
-    length = merge(point%channel(ungated)%length, 0.0_wp, point%channel(ungated)%width > 0.0_wp)
+    length = merge(point%channel(channel2)%length, 0.0_wp, point%channel(channel2)%width > 0.0_wp)
   end function open_length
 
 end submodule battery_plan_checks

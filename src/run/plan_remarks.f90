@@ -4,7 +4,7 @@ module battery_plan_remarks
   use battery_current_age, only: current_remark
   use battery_kinds, only: wp
   use battery_plan, only: plan_type, point_type, point_of, point_text
-  use battery_table, only: ungated
+  use battery_table, only: channel2
   use battery_text, only: string_type, to_text
   implicit none (type, external)
   private
@@ -50,6 +50,7 @@ contains
 
   contains
 
+    !> Counts the present point of the scan for remark number `what`, if `is_so` holds there.
     subroutine count_point(what, is_so)
       integer, intent(in) :: what
       logical, intent(in) :: is_so
@@ -59,6 +60,7 @@ contains
       points(what) = points(what) + 1
     end subroutine count_point
 
+    !> Adds remark number `what` to the list, if it holds at any point of the scan.
     subroutine add(what, sentence)
       integer, intent(in) :: what
       character(len=*), intent(in) :: sentence
@@ -82,7 +84,7 @@ contains
 
     do disc = 1, size(plan%scatterers)/3
       associate (y => plan%scatterers(3*disc - 1), radius => plan%scatterers(3*disc))
-        if (abs(y) + 0.5_wp*point%channel(ungated)%width <= radius) return
+        if (abs(y) + 0.5_wp*point%channel(channel2)%width <= radius) return
       end associate
     end do
     disc = 0

@@ -8,7 +8,7 @@ module battery_simulation
   use battery_powers, only: power_below
   use battery_text, only: to_text
   use battery_error, only: error_type, fatal_error
-  use battery_table, only: table_type, ungated, relaxation_time, chamber_at, outside, half_length
+  use battery_table, only: table_type, channel2, relaxation_time, chamber_at, outside, half_length
   use battery_engine, only: engine_type, particles_type, allocate_particles
   use battery_event_record, only: event_record_type
   use battery_observer, only: end_series, observer_type, new_observer, observe_window, &
@@ -104,8 +104,9 @@ contains
     call make_engine(simulation, setup, error)
     if (allocated(error)) return
     simulation%observer = new_observer(size(particles%x), count(particles%x < 0.0_wp), &
-      setup%table%sides == 2, setup%series_interval, power_below(maxval(setup%table%urn%reach)), &
-      circuit_closed=setup%table%channel(ungated)%width > 0.0_wp, &
+      setup%table%urn_count == 2, setup%series_interval, &
+      power_below(maxval(setup%table%urn%reach)), &
+      circuit_closed=setup%table%channel(channel2)%width > 0.0_wp, &
       relaxation=relaxation_time(setup%table))
     call check_remaining_memory(simulation, error)
     if (allocated(error)) return
@@ -389,8 +390,8 @@ contains
     call fatal_error(error, trim(text))
   end subroutine check_particles
 
-  !> Serialises all that is needed to continue to the same last bit. A state is read for the setup
-  !> that it was written for; the previous state of `simulation` is lost.
+  !> Saves or restores all that is needed to continue to the same last bit. A state is read for the
+  !> setup that it was written for; the previous state of `simulation` is lost.
   subroutine serialize_simulation(simulation, setup, archive, error)
     type(simulation_type), intent(inout) :: simulation
     type(setup_type), intent(in) :: setup
@@ -417,7 +418,7 @@ contains
     if (archive%failed()) call fatal_error(error, archive%problem)
   end subroutine serialize_simulation
 
-  !> Serialises the snapshots taken so far.
+  !> Saves or restores the snapshots taken so far.
   subroutine serialize_snapshots(simulation, archive)
     type(simulation_type), intent(inout) :: simulation
     type(archive_type), intent(inout) :: archive

@@ -3,7 +3,8 @@
 !>
 !> It is plain text with the number and the SHA-256 digest of all bytes before it, so that a file
 !> can be checked before HDF5 opens it. It has no other contents: a footer is valid if it is
-!> identical to the text made from these bytes. `postproc/seal.py` writes and checks the same text.
+!> identical to the text made from these bytes. `postproc/reading/seal.py` writes and checks the
+!> same text.
 !>
 !> The alternative is HDF5's user block, before its own header; but readers that identify a file by
 !> its first bytes (as `xarray.open_dataset` does) do not recognise such a file as HDF5.

@@ -213,20 +213,20 @@ contains
     integer(int8), intent(in), contiguous :: image(:)
     type(error_type), allocatable, intent(out) :: error
     character(len=256) :: reason
-    character(len=footer_length) :: seal
+    character(len=footer_length) :: footer
     integer :: unit, status, closed
     integer(int64) :: bytes, expected
 
     call create_new_file(name, error)
     if (allocated(error)) return
-    call footer_of(image, seal, error)
+    call footer_of(image, footer, error)
     if (allocated(error)) return
     expected = footer_length + size(image, kind=int64)
     open (newunit=unit, file=name, access='stream', form='unformatted', action='write', &
       status='old', iostat=status, iomsg=reason)
     if (status == 0) then
       reason = 'it cannot be closed'
-      write (unit, iostat=status, iomsg=reason) image, seal
+      write (unit, iostat=status, iomsg=reason) image, footer
       close (unit, iostat=closed)
       if (status == 0) status = closed
     end if
@@ -240,7 +240,8 @@ contains
     if (status /= 0) call fatal_error(error, name//': cannot be written: '//trim(reason))
   end subroutine write_image
 
-  !> Makes a group; does nothing after an error.
+  !> Makes a group in a file; it must not exist yet, and its parent must. Does nothing after an
+  !> error.
   subroutine make_group(file, path, error)
     !> File, open for writing.
     type(hdf5_file_type), intent(in) :: file

@@ -73,7 +73,7 @@ contains
   end subroutine write_metadata
 
   !> Reads the version and the input that a results file was made with, and whether it is complete.
-  !> The checksum is verified before; the error is that of `check_footer`.
+  !> The checksum is verified first (`check_footer`), and a file without a valid one gives an error.
   subroutine read_metadata(name, version, input_text, status, initial_file_fingerprint, error)
     !> Path of the file.
     character(len=*), intent(in) :: name

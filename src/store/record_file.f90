@@ -127,7 +127,8 @@ contains
     reader = record_reader_type()
   end subroutine close_records
 
-  !> Reads the record at the offset `at`, and moves `at` to its end. It is read in pieces: if only
+  !> Reads the record at the offset `at`: its header `head`, its data `word`, and the checksum `sum`
+  !> computed from both. If the record is good, `at` moves to its end. It is read in pieces: if only
   !> its checksum is verified, a large record need not fit into memory.
   subroutine read_record(unit, at, head, sum, good, word)
     integer, intent(in) :: unit

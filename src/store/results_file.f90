@@ -10,7 +10,7 @@ module battery_results_file
   use battery_kinds, only: wp, dp, int64
   use battery_build_information, only: program_version
   use battery_error, only: error_type, fatal_error, exit_bad_input
-  use battery_files, only: file_identity_type, sync_file, publish_unless_replaced, remove_file
+  use battery_files, only: file_stamp_type, sync_file, publish_unless_replaced, remove_file
   use battery_key, only: key_type, find_key
   use battery_keys, only: all_keys
   use battery_task_output, only: output_datasets_type, output_extents_type, &
@@ -31,7 +31,7 @@ module battery_results_file
   use battery_plan, only: plan_type, point_type, point_of, setup_of
   use battery_simulation, only: setup_type
   use battery_checksum_footer, only: check_footer
-  use battery_table, only: gated, ungated
+  use battery_table, only: channel1, channel2
   use battery_text, only: lines_of, to_text
   implicit none (type, external)
   private
@@ -72,7 +72,7 @@ contains
     !> File from `create_results`.
     type(hdf5_file_type), intent(inout) :: file
     !> Identity of the file that may be replaced.
-    type(file_identity_type), intent(in) :: before
+    type(file_stamp_type), intent(in) :: before
     !> After an earlier error, while the file was filled, it is not published.
     type(error_type), allocatable, intent(inout) :: error
     type(error_type), allocatable :: other
@@ -227,13 +227,13 @@ contains
     type(results_type), intent(in) :: results
     type(output_datasets_type), intent(out) :: output_datasets
     type(error_type), allocatable, intent(inout) :: error
-    type(output_extents_type) :: most
+    type(output_extents_type) :: largest
     integer(int64) :: series(3)
     real(dp) :: entries
 
     if (all(results%task_status /= task_complete)) return
-    most%replicas = plan%replicas
-    most%points = plan%point_count
+    largest%replicas = plan%replicas
+    largest%points = plan%point_count
     if (plan%series_interval > 0.0_wp) then
       series = extents_of(file, '/series/urn1_number', 3, error)
       if (allocated(error)) return
@@ -247,14 +247,14 @@ contains
         call check_memory_of(bytes_per_entry*entries, '/series', file, error)
       end if
       if (allocated(error)) return
-      most%entries = int(series(1))
+      largest%entries = int(series(1))
     end if
-    most%snapshots = size(plan%snapshot_times)
-    most%particles = most_particles(plan, results)
-    if (plan%final_state) most%final_particles = most%particles
-    call check_memory_of(bytes_per_state*most%particles*(most%snapshots + merge(1, 0, &
+    largest%snapshots = size(plan%snapshot_times)
+    largest%particles = most_particles(plan, results)
+    if (plan%final_state) largest%final_particles = largest%particles
+    call check_memory_of(bytes_per_state*largest%particles*(largest%snapshots + merge(1, 0, &
       plan%final_state)), '/snapshots and /final', file, error)
-    call prepare_output_datasets(file, most, real(plan%series_interval, dp), &
+    call prepare_output_datasets(file, largest, real(plan%series_interval, dp), &
       real(plan%snapshot_times, dp), output_datasets, error)
   end subroutine open_output_datasets
 
@@ -310,13 +310,13 @@ contains
         [2, size(p)], order=[2, 1]), '1', 'threshold T of each gate', error, by_gate)
       call write_dataset(file, '/urn_radius', reshape([p%urn_radius(1), p%urn_radius(2)], &
         [2, size(p)], order=[2, 1]), 'length', 'radius r of each urn', error, by_urn)
-      call write_dataset(file, '/channel1_width', p%channel(gated)%width, 'length', &
+      call write_dataset(file, '/channel1_width', p%channel(channel1)%width, 'length', &
         'width w of channel 1', error, by_point)
-      call write_dataset(file, '/channel1_length', p%channel(gated)%length, 'length', &
+      call write_dataset(file, '/channel1_length', p%channel(channel1)%length, 'length', &
         'length l of channel 1', error, by_point)
-      call write_dataset(file, '/channel2_width', p%channel(ungated)%width, 'length', &
+      call write_dataset(file, '/channel2_width', p%channel(channel2)%width, 'length', &
         'width w'' of channel 2', error, by_point)
-      call write_dataset(file, '/channel2_length', p%channel(ungated)%length, 'length', &
+      call write_dataset(file, '/channel2_length', p%channel(channel2)%length, 'length', &
         'length l'' of channel 2', error, by_point)
     end associate
   end subroutine write_points

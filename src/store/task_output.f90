@@ -46,7 +46,7 @@ module battery_task_output
 
   !> Datasets of an open file that hold one or more columns for each task.
   type :: output_datasets_type
-    type(output_extents_type) :: most
+    type(output_extents_type) :: largest
     !> N1 and the flows; x, y, ux, uy.
     type(dataset_type), private :: urn1_number, flow(4), snapshot(4), final(4)
   end type output_datasets_type
@@ -62,12 +62,12 @@ contains
 
   !> Creates the datasets of a new file, or opens those of a file that is read, which must have
   !> these extents. Does nothing after an error.
-  subroutine prepare_output_datasets(file, most, series_interval, snapshot_time, output_datasets, &
-    error)
+  subroutine prepare_output_datasets(file, largest, series_interval, snapshot_time, &
+    output_datasets, error)
     !> File, open.
     type(hdf5_file_type), intent(in) :: file
     !> Extents of the datasets; a dataset with an extent of 0 does not exist.
-    type(output_extents_type), intent(in) :: most
+    type(output_extents_type), intent(in) :: largest
     !> Time between two entries, and times of the snapshots, since the start: for the dimension
     !> scales of a new file.
     real(dp), intent(in) :: series_interval, snapshot_time(:)
@@ -75,32 +75,36 @@ contains
     type(output_datasets_type), intent(out) :: output_datasets
     type(error_type), allocatable, intent(inout) :: error
 
-    output_datasets%most = most
-    if (most%entries > 0) call prepare_series(file, most, series_interval, output_datasets, error)
-    if (most%snapshots > 0 .and. most%particles > 0) then
+    output_datasets%largest = largest
+    if (largest%entries > 0) call prepare_series(file, largest, series_interval, output_datasets, &
+      error)
+    if (largest%snapshots > 0 .and. largest%particles > 0) then
       if (file%is_new) then
         call make_group(file, '/snapshots', error)
         call write_scale(file, '/snapshots/time', snapshot_time, 'time', since_start, error)
-        call write_counting_scale(file, '/snapshots/particle', 1, most%particles, in_order, error)
+        call write_counting_scale(file, '/snapshots/particle', 1, largest%particles, in_order, &
+          error)
       end if
-      call prepare_states(file, '/snapshots', [most%particles, most%snapshots, most%replicas, &
-        most%points], [character(len=19) :: '/snapshots/particle', '/snapshots/time', &
-        task_dimensions], output_datasets%snapshot, error)
+      call prepare_states(file, '/snapshots', [largest%particles, largest%snapshots, &
+        largest%replicas, largest%points], [character(len=19) :: '/snapshots/particle', &
+        '/snapshots/time', task_dimensions], output_datasets%snapshot, error)
     end if
-    if (most%final_particles > 0) then
+    if (largest%final_particles > 0) then
       if (file%is_new) then
         call make_group(file, '/final', error)
-        call write_counting_scale(file, '/final/particle', 1, most%final_particles, in_order, error)
+        call write_counting_scale(file, '/final/particle', 1, largest%final_particles, in_order, &
+          error)
       end if
-      call prepare_states(file, '/final', [most%final_particles, most%replicas, most%points], &
-        [character(len=15) :: '/final/particle', task_dimensions], output_datasets%final, error)
+      call prepare_states(file, '/final', [largest%final_particles, largest%replicas, &
+        largest%points], [character(len=15) :: '/final/particle', task_dimensions], &
+        output_datasets%final, error)
     end if
   end subroutine prepare_output_datasets
 
   !> Prepares the datasets of the series: N1 and the flows.
-  subroutine prepare_series(file, most, interval, output_datasets, error)
+  subroutine prepare_series(file, largest, interval, output_datasets, error)
     type(hdf5_file_type), intent(in) :: file
-    type(output_extents_type), intent(in) :: most
+    type(output_extents_type), intent(in) :: largest
     real(dp), intent(in) :: interval
     type(output_datasets_type), intent(inout) :: output_datasets
     type(error_type), allocatable, intent(inout) :: error
@@ -109,10 +113,10 @@ contains
     type(quantity_type), allocatable :: list(:)
     integer :: extents(3), k
 
-    extents = [most%entries, most%replicas, most%points]
+    extents = [largest%entries, largest%replicas, largest%points]
     if (file%is_new) then
       call make_group(file, '/series', error)
-      call write_scale(file, '/series/time', [(real(k - 1, dp)*interval, k=1, most%entries)], &
+      call write_scale(file, '/series/time', [(real(k - 1, dp)*interval, k=1, largest%entries)], &
         'time', since_start, error)
     end if
     call prepare_dataset(file, '/series/urn1_number', extents, int(unknown_count, int32), '1', &
@@ -161,7 +165,7 @@ contains
 
     call serialize_series(file, output_datasets, replica, point, task_output, error)
     call serialize_states(file, output_datasets%snapshot, [replica, point], &
-      output_datasets%most%snapshots, task_output%snapshots, error)
+      output_datasets%largest%snapshots, task_output%snapshots, error)
     call serialize_states(file, output_datasets%final, [replica, point], 0, &
       task_output%final_state, error)
   end subroutine write_task_output
@@ -177,14 +181,14 @@ contains
     type(error_type), allocatable, intent(inout) :: error
     integer :: entries
 
-    associate (most => output_datasets%most)
-      allocate (task_output%series_urn1_number(most%entries), &
-        task_output%series_flow(4*most%entries))
-      allocate (task_output%snapshots(4*min(number, most%particles)*most%snapshots))
-      allocate (task_output%final_state(4*min(number, most%final_particles)))
+    associate (largest => output_datasets%largest)
+      allocate (task_output%series_urn1_number(largest%entries), &
+        task_output%series_flow(4*largest%entries))
+      allocate (task_output%snapshots(4*min(number, largest%particles)*largest%snapshots))
+      allocate (task_output%final_state(4*min(number, largest%final_particles)))
       allocate (task_output%events(0), task_output%event_times(0))
       call serialize_series(file, output_datasets, replica, point, task_output, error)
-      call serialize_states(file, output_datasets%snapshot, [replica, point], most%snapshots, &
+      call serialize_states(file, output_datasets%snapshot, [replica, point], largest%snapshots, &
         task_output%snapshots, error)
       call serialize_states(file, output_datasets%final, [replica, point], 0, &
         task_output%final_state, error)

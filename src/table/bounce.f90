@@ -8,10 +8,10 @@
 !> placed exactly on the wall or line that it reaches.
 module battery_bounce
   use battery_kinds, only: wp, int8
-  use battery_table, only: table_type, urn_type, gated, ungated, no_channel, in_urn, in_gate, &
-    in_return, urn_at, chamber_at, x_direction
+  use battery_table, only: table_type, urn_type, channel1, channel2, no_channel, in_urn, in_gate, &
+    in_channel2, urn_at, chamber_at, x_direction
   use battery_channel, only: facing
-  use battery_motion, only: motion_type, slowest, meets_nothing, meets_gate, meets_return, &
+  use battery_motion, only: motion_type, slowest, meets_nothing, meets_gate, meets_channel2, &
     meets_urn, meets_line, meets_channel_wall
   use battery_scatterers, only: scattered_half_channel_type, find_next_wall_in_half_channel, &
     reflect_in_half_channel, detect_periodic_path
@@ -101,7 +101,7 @@ contains
     type(motion_type), intent(inout) :: motion
     real(wp), intent(out) :: wait
 
-    if (motion%chamber == in_return) then
+    if (motion%chamber == in_channel2) then
       associate (urn => table%urn(motion%urn), half_channel => table%half_channel2(motion%urn))
         if (half_channel%count > 0) then
           call find_next_wall_in_half_channel(half_channel, &
@@ -127,13 +127,13 @@ contains
     if (motion%chamber == in_gate) then
       distance = depth
       if (out*motion%ux >= 0.0_wp) then
-        distance = urn%channel_start(gated) - depth
+        distance = urn%channel_start(channel1) - depth
         motion%next = meets_urn
       end if
     else
       distance = urn%periodic_line - depth
       if (out*motion%ux <= 0.0_wp) then
-        distance = depth - urn%channel_start(ungated)
+        distance = depth - urn%channel_start(channel2)
         motion%next = meets_urn
       end if
     end if
@@ -158,8 +158,8 @@ contains
 
     urn_index = motion%urn
     select case (motion%next)
-    case (meets_gate, meets_return)
-      motion%chamber = int(merge(in_gate, in_return, motion%next == meets_gate), int8)
+    case (meets_gate, meets_channel2)
+      motion%chamber = int(merge(in_gate, in_channel2, motion%next == meets_gate), int8)
       motion%x = x_direction(urn_index)*table%urn(urn_index)%channel_start(channel_of(motion))
     case (meets_urn)
       channel = channel_of(motion)
@@ -172,11 +172,11 @@ contains
       end associate
       return
     case (meets_line)
-      if (table%beyond(urn_index) == urn_index) motion%ux = -motion%ux
-      urn_index = table%beyond(urn_index)
+      if (table%urn_across(urn_index) == urn_index) motion%ux = -motion%ux
+      urn_index = table%urn_across(urn_index)
       motion%urn = int(urn_index, int8)
       motion%x = 0.0_wp
-      if (motion%chamber == in_return) motion%x = &
+      if (motion%chamber == in_channel2) motion%x = &
         x_direction(urn_index)*table%urn(urn_index)%periodic_line
     case default
       wait = huge(1.0_wp)
@@ -199,7 +199,7 @@ contains
   end subroutine reverse_motion
 
   !> Whether a particle in channel 1 heads for the other gate: it came from its urn and has not been
-  !> turned back.
+  !> reversed.
   elemental function heads_for_middle(motion) result(heads)
     type(motion_type), intent(in) :: motion
     logical :: heads
@@ -223,7 +223,7 @@ contains
     logical :: trapped
 
     associate (urn => table%urn(motion%urn), half_channel => table%half_channel2(motion%urn))
-      if (half_channel%count > 0 .and. motion%chamber == in_return) then
+      if (half_channel%count > 0 .and. motion%chamber == in_channel2) then
         call detect_periodic_path(half_channel, urn%periodic_line + urn%axis_sign*motion%x, &
           motion%y, urn%axis_sign*motion%ux, motion%uy, trapped)
       else
@@ -238,7 +238,7 @@ contains
     type(motion_type), intent(in) :: motion
     integer :: channel
 
-    channel = merge(gated, ungated, motion%chamber == in_gate)
+    channel = merge(channel1, channel2, motion%chamber == in_gate)
   end function channel_of
 
   !> Half the width of the channel that a particle is in.

@@ -6,10 +6,10 @@ module battery_channel
   use battery_kinds, only: wp
   implicit none (type, external)
   private
-  public :: channel_type, is_open, fold_into_channel, gated, ungated, no_channel, facing
+  public :: channel_type, is_open, fold_into_channel, channel1, channel2, no_channel, facing
 
-  !> The channel with the gates, the channel that closes the circuit, and none of them.
-  integer, parameter :: gated = 1, ungated = 2, no_channel = 0
+  !> Channel 1, with the gates; channel 2, which closes the circuit; and neither.
+  integer, parameter :: channel1 = 1, channel2 = 2, no_channel = 0
 
   !> Direction along x from the middle of an urn to each channel, in the frame of the urn.
   real(wp), parameter :: facing(2) = [1.0_wp, -1.0_wp]
@@ -30,8 +30,8 @@ contains
     is_open = channel%width > 0.0_wp
   end function is_open
 
-  !> Height, sign of the lateral velocity and wall hits of a particle at the height `unfolded` of
-  !> the unfolded plane, in a channel of the given `width` about y = 0.
+  !> Height (y across the channel), sign of the lateral velocity and wall hits of a particle at the
+  !> height `unfolded` of the unfolded plane, in a channel of the given `width` about y = 0.
   elemental subroutine fold_into_channel(unfolded, width, height, reflected, hits)
     real(wp), intent(in) :: unfolded, width
     !> Height within [-width/2, width/2].

@@ -12,9 +12,10 @@
 !> exactly on the wall or chord that it reaches; each hit sets its speed to 1 by a Newton step.
 module battery_disc
   use battery_kinds, only: wp, int64, angle_kind, pi
-  use battery_channel, only: channel_type, gated, ungated, no_opening => no_channel
-  use battery_chamber, only: chamber_type, set_openings
-  use battery_motion, only: meets_wall, meets_gate, meets_return, meets_nothing, slowest, wall_kind
+  use battery_channel, only: channel_type, channel1, channel2, no_opening => no_channel
+  use battery_urn_shape, only: urn_shape_type, set_openings
+  use battery_motion, only: meets_wall, meets_gate, meets_channel2, meets_nothing, slowest, &
+    wall_kind
   use battery_rotation, only: to_turn
   implicit none (type, external)
   private
@@ -30,7 +31,7 @@ module battery_disc
   real(wp), parameter :: least_exit_share = 0.01_wp
 
   !> Geometry of a disc with its openings.
-  type, extends(chamber_type) :: disc_type
+  type, extends(urn_shape_type) :: disc_type
     !> Radius, and 1/radius**2.
     real(wp) :: radius = 1.0_wp, curvature2 = 1.0_wp
     !> Half widths of the openings in units of the radius; half the angles of their arcs, as
@@ -65,8 +66,8 @@ contains
     angle = asin(disc%half_opening)
     disc%angle = to_turn(angle)
     disc%stepping_pays = sum(disc%half_opening) > least_exit_share*pi
-    disc%area = pi*radius**2 - segment_area(gated) - segment_area(ungated)
-    disc%perimeter = radius*(2.0_wp*pi - 2.0_wp*angle(gated) - 2.0_wp*angle(ungated))
+    disc%area = pi*radius**2 - segment_area(channel1) - segment_area(channel2)
+    disc%perimeter = radius*(2.0_wp*pi - 2.0_wp*angle(channel1) - 2.0_wp*angle(channel2))
     disc%reach = radius
     disc%clear = radius
     disc%longest_step = radius
@@ -104,7 +105,7 @@ contains
     real(wp), intent(out) :: x, y
     logical, intent(out) :: inside
 
-    associate (radius => disc%radius, lower => -disc%chord(ungated), upper => disc%chord(gated))
+    associate (radius => disc%radius, lower => -disc%chord(channel2), upper => disc%chord(channel1))
       if (upper - lower < radius) then
         x = lower + (upper - lower)*across
       else
@@ -146,9 +147,9 @@ contains
 
     px = x/disc%radius
     py = y/disc%radius
-    half_opening = merge(disc%half_opening(gated), disc%half_opening(ungated), px > 0.0_wp)
+    half_opening = merge(disc%half_opening(channel1), disc%half_opening(channel2), px > 0.0_wp)
     ! On a chord the depth is a product, without cancellation.
-    if (abs(x - merge(disc%chord(gated), -disc%chord(ungated), px > 0.0_wp)) > 0.0_wp) then
+    if (abs(x - merge(disc%chord(channel1), -disc%chord(channel2), px > 0.0_wp)) > 0.0_wp) then
       depth2 = (1.0_wp - abs(py))*(1.0_wp + abs(py)) - px**2
     else
       depth2 = (half_opening - abs(py))*(half_opening + abs(py))
@@ -159,7 +160,8 @@ contains
     sine = sign(sqrt((1.0_wp - c)*(1.0_wp + c)), sine)
   end subroutine recompute_grazing_incidence
 
-  !> Position of a particle in the disc at a time relative to an impact, or to the end of its visit.
+  !> Position of a particle in the disc at a time relative to an impact, or to the end of its
+  !> passage.
   pure subroutine locate_in_disc(disc, channel, y, u_axial, u_lateral, since, position, velocity, &
     hits)
     type(disc_type), intent(in) :: disc
@@ -176,7 +178,7 @@ contains
     !> then.
     integer(int64), intent(out) :: hits
 
-    if (channel == gated .or. channel == ungated) then
+    if (channel == channel1 .or. channel == channel2) then
       call trace_back_from_exit(disc, channel, y, u_axial, u_lateral, -since, position, velocity, &
         hits)
       hits = -hits
@@ -196,8 +198,8 @@ contains
     real(wp) :: x, ux, s, c, ahead, rotation, rest
     complex(wp) :: impact, incidence
 
-    x = merge(disc%chord(gated), -disc%chord(ungated), channel == gated)
-    ux = merge(u_axial, -u_axial, channel == gated)
+    x = merge(disc%chord(channel1), -disc%chord(channel2), channel == channel1)
+    ux = merge(u_axial, -u_axial, channel == channel1)
     s = (x*u_lateral - y*ux)/disc%radius
     c = sqrt(max((1.0_wp - s)*(1.0_wp + s), 0.0_wp))
     ! The virtual impact in the opening lies `ahead` of the chord.
@@ -322,15 +324,15 @@ contains
     real(wp), intent(inout) :: wait
 
     next = meets_wall
-    if (abs(py) >= merge(disc%half_width(gated), disc%half_width(ungated), px > 0.0_wp)) return
+    if (abs(py) >= merge(disc%half_width(channel1), disc%half_width(channel2), px > 0.0_wp)) return
     ! By rounding, the point may seem to lie just inside a corner though the velocity points
     ! inwards.
     if (px > 0.0_wp .and. ux > 0.0_wp) then
       next = meets_gate
-      wait = min(max(disc%chord(gated) - x, 0.0_wp)/max(ux, slowest), wait)
+      wait = min(max(disc%chord(channel1) - x, 0.0_wp)/max(ux, slowest), wait)
     else if (px <= 0.0_wp .and. ux < 0.0_wp) then
-      next = meets_return
-      wait = min(max(x + disc%chord(ungated), 0.0_wp)/max(-ux, slowest), wait)
+      next = meets_channel2
+      wait = min(max(x + disc%chord(channel2), 0.0_wp)/max(-ux, slowest), wait)
     end if
   end subroutine choose_opening
 

@@ -1,4 +1,4 @@
-!> Kernel: visits to a disc, computed in batches.
+!> Kernel: passages through a disc, the urn part of visits, computed in batches.
 !>
 !> Arrays are those of `visits_type`, one element a visit, padded to groups of `group_size`. Loops
 !> over the visits have no branches and are vectorised: `step_impacts` computes `march_steps`
@@ -8,7 +8,7 @@
 !> to `find_opening`, which takes O(log) operations for any number of impacts.
 module battery_disc_visits
   use battery_kinds, only: wp, int64, angle_kind
-  use battery_channel, only: gated, ungated
+  use battery_channel, only: channel1, channel2
   use battery_disc, only: disc_type, recompute_grazing_incidence, grazing_cosine
   use battery_rotation, only: turn_of_vector, unit_vector, full_turn
   use battery_opening_search, only: find_opening
@@ -26,7 +26,8 @@ module battery_disc_visits
 
 contains
 
-  !> Computes all visits of a batch through the disc: input and output as at `visits_type`.
+  !> Computes the passages of a batch of visits through the disc: input and output as at
+  !> `visits_type`.
   subroutine compute_disc_visits(disc, visits)
     type(disc_type), intent(in) :: disc
     type(visits_type), intent(inout) :: visits
@@ -35,7 +36,7 @@ contains
 
     n = group_size*((visits%count + group_size - 1)/group_size)
     visits%all_hits = 0
-    visits%many_count = 0
+    visits%many_hits_count = 0
     if (n == 0) return
     call find_first_impacts(n, 1.0_wp/disc%radius, visits%x, visits%y, visits%u_axial, &
       visits%u_lateral, visits%c, visits%s, visits%px, visits%py, visits%zx, visits%zy, &
@@ -48,23 +49,23 @@ contains
       visits%py(active + 1:n) = 0.0_wp
       do round = 1, march_rounds
         n_active = group_size*((active + group_size - 1)/group_size)
-        call step_impacts(disc%half_opening(gated), disc%half_opening(ungated), n_active, &
+        call step_impacts(disc%half_opening(channel1), disc%half_opening(channel2), n_active, &
           visits%px, visits%py, visits%zx, visits%zy, visits%steps)
-        if (round <= early_rounds) call step_impacts(disc%half_opening(gated), &
-          disc%half_opening(ungated), n_active, visits%px, visits%py, visits%zx, visits%zy, &
+        if (round <= early_rounds) call step_impacts(disc%half_opening(channel1), &
+          disc%half_opening(channel2), n_active, visits%px, visits%py, visits%zx, visits%zy, &
           visits%steps)
-        call compact_active(disc%half_opening(gated), disc%half_opening(ungated), active, &
+        call compact_active(disc%half_opening(channel1), disc%half_opening(channel2), active, &
           visits%slot, visits%px, visits%py, visits%zx, visits%zy, visits%steps, visits%hit_x, &
           visits%hit_y, visits%impacts)
         if (active == 0) exit
       end do
     end if
     do j = 1, active
-      visits%many(j) = visits%slot(j)
+      visits%many_hits_index(j) = visits%slot(j)
       call search_opening(disc, visits, visits%slot(j), visits%px(j), visits%py(j), visits%zx(j), &
         visits%zy(j), visits%steps(j))
     end do
-    visits%many_count = active
+    visits%many_hits_count = active
     call find_exits(n, disc, visits%c, visits%s, visits%hit_x, visits%hit_y, visits%impacts, &
       visits%first, visits%channel, visits%x, visits%y, visits%u_axial, visits%u_lateral, &
       visits%length, visits%through)
@@ -72,9 +73,9 @@ contains
       do j = 1, visits%count
         if (visits%u_axial(j) > 0.0_wp .and. visits%impacts(j) >= 0.0_wp) cycle
         call repair_visit(disc, visits, j)
-        if (any(visits%many(:visits%many_count) == j)) cycle
-        visits%many_count = visits%many_count + 1
-        visits%many(visits%many_count) = j
+        if (any(visits%many_hits_index(:visits%many_hits_count) == j)) cycle
+        visits%many_hits_count = visits%many_hits_count + 1
+        visits%many_hits_index(visits%many_hits_count) = j
       end do
     end if
     call sum_hits(n, visits%count, visits%hits, visits%impacts, visits%all_hits)
@@ -156,7 +157,7 @@ contains
     grazing = low > 0
   end subroutine find_first_impacts
 
-  !> Recomputes the grazing incidences of a batch to full precision.
+  !> Recomputes cosine and sine of the angle of incidence, where it is grazing, to full precision.
   pure subroutine recompute_grazing_incidences(disc, visits)
     type(disc_type), intent(in) :: disc
     type(visits_type), intent(inout) :: visits
@@ -228,7 +229,8 @@ contains
     end do
   end subroutine step_impacts
 
-  !> Rotates an impact to the next one.
+  !> Rotates the point of an impact on the unit circle, (x, y) in the frame of the disc, by the
+  !> angle between two impacts, given by its `cosine` and `sine`, to the next impact.
   elemental subroutine rotate_impact(cosine, sine, x, y, next_x, next_y)
     real(wp), intent(in) :: cosine, sine, x, y
     real(wp), intent(out) :: next_x, next_y
@@ -302,7 +304,7 @@ contains
     step = turn_of_vector(zx, zy)
     ! The virtual impact before the entry: in the opening through which the particle entered.
     start = modulo(turn_of_vector(px*zx + py*zy, py*zx - px*zy) + step, full_turn)
-    call find_opening(disc%angle(gated), disc%angle(ungated), start, step, total, landing, &
+    call find_opening(disc%angle(channel1), disc%angle(channel2), start, step, total, landing, &
       first_side, found)
     if (found) then
       call unit_vector(landing, x, y)
@@ -329,12 +331,12 @@ contains
     integer :: j
 
     radius = disc%radius
-    half_opening1 = disc%half_opening(gated)
-    half_opening2 = disc%half_opening(ungated)
-    chord1 = disc%chord(gated)
-    chord2 = disc%chord(ungated)
-    length1 = disc%length(gated)
-    length2 = disc%length(ungated)
+    half_opening1 = disc%half_opening(channel1)
+    half_opening2 = disc%half_opening(channel2)
+    chord1 = disc%chord(channel1)
+    chord2 = disc%chord(channel2)
+    length1 = disc%length(channel1)
+    length2 = disc%length(channel2)
     do j = 1, n
       norm = 1.5_wp - 0.5_wp*(hit_x(j)**2 + hit_y(j)**2)
       qx = hit_x(j)*norm
@@ -350,7 +352,7 @@ contains
       back = (half_opening - abs(qy))*(half_opening + abs(qy))*radius**2 &
         /((abs(qx)*radius + chord)*forward)
       through(j) = merge(length1, length2, qx > 0.0_wp)/forward
-      channel(j) = merge(int(gated, int64), int(ungated, int64), qx > 0.0_wp)
+      channel(j) = merge(int(channel1, int64), int(channel2, int64), qx > 0.0_wp)
       x(j) = direction*chord
       height = radius*qy - back*uy
       y(j) = sign(min(abs(height), half_opening*radius), height)

@@ -3,13 +3,13 @@ module battery_motion
   use battery_kinds, only: wp, int8, int16
   implicit none (type, external)
   private
-  public :: motion_type, move_straight, slowest, outside, in_urn, in_gate, in_return
-  public :: wall_kind, meets_nothing, meets_gate, meets_return, meets_urn, meets_line, &
+  public :: motion_type, move_straight, slowest, outside, in_urn, in_gate, in_channel2
+  public :: wall_kind, meets_nothing, meets_gate, meets_channel2, meets_urn, meets_line, &
     meets_channel_wall, meets_wall
 
-  !> Chambers that belong to an urn, by index: the urn, its half of channel 1, its half of channel
-  !> 2; `outside` is none of them.
-  integer, parameter :: outside = 0, in_urn = 1, in_gate = 2, in_return = 3
+  !> Chambers, the three regions that belong to an urn: the urn itself, its half of channel 1 (its
+  !> gate), its half of channel 2; `outside` is none of them.
+  integer, parameter :: outside = 0, in_urn = 1, in_gate = 2, in_channel2 = 3
 
   !> Kinds of walls and lines that a particle reaches next: none; the chord where channel 1 or
   !> channel 2 starts; the chord where an urn starts; the line of its channel (the middle line or
@@ -17,7 +17,7 @@ module battery_motion
   !> channel, with that number.
   integer, parameter :: wall_kind = int16
   integer(wall_kind), parameter :: meets_nothing = -5_wall_kind, meets_gate = -4_wall_kind, &
-    meets_return = -3_wall_kind, meets_urn = -2_wall_kind, meets_line = -1_wall_kind, &
+    meets_channel2 = -3_wall_kind, meets_urn = -2_wall_kind, meets_line = -1_wall_kind, &
     meets_channel_wall = 0_wall_kind, meets_wall = 1_wall_kind
 
   !> A velocity component below this counts as 0: a division by it gives a huge number but does not

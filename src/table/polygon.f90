@@ -15,9 +15,9 @@
 !> visits: `polygon_visits.f90`.
 module battery_polygon
   use battery_kinds, only: wp, int64
-  use battery_channel, only: channel_type, gated, ungated, no_channel, facing, is_open
-  use battery_chamber, only: chamber_type, set_openings
-  use battery_motion, only: meets_gate, meets_return, meets_nothing, meets_wall, wall_kind
+  use battery_channel, only: channel_type, channel1, channel2, no_channel, facing, is_open
+  use battery_urn_shape, only: urn_shape_type, set_openings
+  use battery_motion, only: meets_gate, meets_channel2, meets_nothing, meets_wall, wall_kind
   use battery_corners, only: enclosed_area, reversed_corners, next_corner, distance_to_side, &
     side_distance, side_on_axis
   implicit none (type, external)
@@ -35,7 +35,7 @@ module battery_polygon
   real(wp), parameter, public :: upright = 2.0_wp**13*epsilon(1.0_wp)
 
   !> Geometry of a polygon with its openings. Side k goes from corner k to corner k + 1.
-  type, extends(chamber_type) :: polygon_type
+  type, extends(urn_shape_type) :: polygon_type
     integer :: sides = 0
     !> Corners; the first is repeated at the end.
     real(wp), allocatable :: x(:), y(:)
@@ -91,7 +91,7 @@ contains
     end do
     polygon%x = [corner(1, :), corner(1, 1)] - 0.5_wp*sum(ends)
     polygon%y = [corner(2, :), corner(2, 1)]
-    polygon%chord = 0.5_wp*(ends(gated) - ends(ungated))
+    polygon%chord = 0.5_wp*(ends(channel1) - ends(channel2))
     do k = 1, 2
       if (polygon%side(k) == 0) cycle
       if (abs(polygon%x(polygon%side(k) + 1) - polygon%x(polygon%side(k))) &
@@ -131,10 +131,10 @@ contains
     polygon%area = enclosed_area(reshape([polygon%x(:n), polygon%y(:n)], [2, n], order=[2, 1]))
     polygon%perimeter = polygon%outline_length - sum(polygon%width)
     polygon%truncates_visits = .true.
-    polygon%overhangs = maxval(polygon%x) > polygon%chord(gated) .or. &
-      maxval(-polygon%x) > polygon%chord(ungated)
+    polygon%overhangs = maxval(polygon%x) > polygon%chord(channel1) .or. &
+      maxval(-polygon%x) > polygon%chord(channel2)
     polygon%reach = maxval(hypot(polygon%x, polygon%y))
-    polygon%sharp = rounding*(polygon%reach + polygon%chord(gated) + polygon%length(gated))
+    polygon%sharp = rounding*(polygon%reach + polygon%chord(channel1) + polygon%length(channel1))
     call find_clearance(polygon)
   end subroutine measure_outline
 
@@ -181,7 +181,7 @@ contains
 
     polygon%fits = .true.
     polygon%depth = 0.0_wp
-    do channel = gated, ungated
+    do channel = channel1, channel2
       k = polygon%side(channel)
       if (.not. polygon%width(channel) > 0.0_wp) cycle
       if (k == 0) then
@@ -388,7 +388,7 @@ contains
       next = meets_nothing
       wait = huge(1.0_wp)
     else if (abs(y + uy*wait) < polygon%half_opening(side)) then
-      next = merge(meets_gate, meets_return, side == polygon%side(gated))
+      next = merge(meets_gate, meets_channel2, side == polygon%side(channel1))
     else
       next = int(side, wall_kind)
     end if
@@ -612,7 +612,7 @@ contains
     integer :: side
     logical :: leaves
 
-    leaves = channel == gated .or. channel == ungated
+    leaves = channel == channel1 .or. channel == channel2
     if (leaves) then
       side = polygon%side(channel)
       position = [facing(channel)*polygon%chord(channel), y]

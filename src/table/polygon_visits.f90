@@ -1,4 +1,5 @@
-!> Kernel: visits to a polygon, computed in batches, from side to side.
+!> Kernel: passages through a polygon, the urn part of visits, computed in batches, from side to
+!> side.
 !>
 !> Arrays are those of `visits_type`, one element a visit. They are processed in blocks of `lanes`
 !> visits, one or three sides at a time for all visits of a block: these loops have no branches and
@@ -9,7 +10,7 @@
 !> recurs, it never ends; else it is truncated, to be continued later.
 module battery_polygon_visits
   use battery_kinds, only: wp, int64
-  use battery_channel, only: gated, ungated
+  use battery_channel, only: channel1, channel2
   use battery_motion, only: slowest
   use battery_polygon, only: polygon_type, nearest_side, boundary_state_type, state_on_side, &
     has_returned, find_next_side_robustly, reflect_from_side, longest_period
@@ -31,13 +32,14 @@ module battery_polygon_visits
 
 contains
 
-  !> Computes all visits of a batch; input and output are explained at `visits_type`.
+  !> Computes the passages of a batch of visits through the polygon; input and output are explained
+  !> at `visits_type`.
   subroutine compute_polygon_visits(polygon, visits)
     type(polygon_type), intent(in) :: polygon
     type(visits_type), intent(inout) :: visits
     integer :: active, n, j, round
 
-    visits%many_count = 0
+    visits%many_hits_count = 0
     active = visits%count
     n = group_size*((active + group_size - 1)/group_size)
     call load_visits(n, visits%x, visits%y, visits%u_axial, visits%u_lateral, visits%px, &
@@ -98,8 +100,8 @@ contains
       count = last - first + 1
       do hit = 1, march_hits
         if (polygon%convex) then
-          call find_only_side(size(side, 2), corner, side, half_openings(gated), &
-            half_openings(ungated), count, px(first), py(first), ux(first), uy(first), normal_x, &
+          call find_only_side(size(side, 2), corner, side, half_openings(channel1), &
+            half_openings(channel2), count, px(first), py(first), ux(first), uy(first), normal_x, &
             normal_y, offset, half_opening)
         else
           call find_nearest_side(polygon%sides, corner, side, polygon%sharp, count, px(first), &
@@ -317,7 +319,7 @@ contains
     integer :: mine, channel
 
     mine = visits%slot(j)
-    channel = merge(gated, ungated, visits%zx(j) > 0.0_wp)
+    channel = merge(channel1, channel2, visits%zx(j) > 0.0_wp)
     visits%channel(mine) = channel
     visits%x(mine) = visits%px(j)
     visits%y(mine) = visits%py(j)
@@ -326,18 +328,18 @@ contains
     visits%length(mine) = visits%first(j)
     visits%through(mine) = polygon%length(channel)/visits%u_axial(mine)
     visits%hits(mine) = visits%hits(mine) + visits%steps(j)
-    if (visits%steps(j) >= many_hits) call list_long_visit(visits, mine)
+    if (visits%steps(j) >= many_hits) call list_visit_with_many_hits(visits, mine)
   end subroutine store_exit
 
   !> Adds a visit to the list of those with many hits.
-  pure subroutine list_long_visit(visits, which)
+  pure subroutine list_visit_with_many_hits(visits, which)
     type(visits_type), intent(inout) :: visits
     !> Its index in the batch.
     integer, intent(in) :: which
 
-    visits%many_count = visits%many_count + 1
-    visits%many(visits%many_count) = which
-  end subroutine list_long_visit
+    visits%many_hits_count = visits%many_hits_count + 1
+    visits%many_hits_index(visits%many_hits_count) = which
+  end subroutine list_visit_with_many_hits
 
   !> Continues a visit of very many hits from side to side until it ends, its boundary state recurs,
   !> or a part of it is complete. The states after 1, 2, 4, ... hits are stored; each is compared
@@ -404,7 +406,7 @@ contains
     ! Time before its end at which the next part is due.
     visits%through(mine) = 0.5_wp*visits%first(j)
     visits%hits(mine) = visits%hits(mine) + visits%steps(j)
-    call list_long_visit(visits, mine)
+    call list_visit_with_many_hits(visits, mine)
   end subroutine store_truncated
 
 end module battery_polygon_visits

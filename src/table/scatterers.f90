@@ -18,8 +18,8 @@ module battery_scatterers
     find_next_wall_in_half_channel, reflect_in_half_channel, is_in_scatterer
   public :: measure_scatterers, narrowest_gap, detect_periodic_path
 
-  !> Hits after which a visit to a half channel is truncated; a state that has not recurred within
-  !> as many more never will.
+  !> Hits after which a passage through a half channel is truncated; a state that has not recurred
+  !> within as many more never will.
   integer, parameter, public :: longest_part = 10000
 
   !> Half of a channel; `count` is 0 if the channel has no discs.
@@ -95,28 +95,28 @@ contains
   end subroutine find_next_wall_in_half_channel
 
   !> Reflects a particle at the wall of the channel, or at a disc, that it has reached.
-  pure subroutine reflect_in_half_channel(half_channel, met, x, y, ux, uy)
+  pure subroutine reflect_in_half_channel(half_channel, wall, x, y, ux, uy)
     !> Half channel that the particle is in.
     type(scattered_half_channel_type), intent(in) :: half_channel
     !> `meets_channel_wall`, or the number of a disc.
-    integer, intent(in) :: met
+    integer, intent(in) :: wall
     !> Position and velocity in the frame of the half channel.
     real(wp), intent(inout) :: x, y, ux, uy
     real(wp) :: dx, dy, sine, cosine, along, across, norm, radius
 
-    if (met <= 0) then
+    if (wall <= 0) then
       y = sign(half_channel%half_width, uy)
       uy = -uy
       return
     end if
-    radius = half_channel%radius(met)
-    dx = half_channel%x(met) - x
-    dy = half_channel%y(met) - y
+    radius = half_channel%radius(wall)
+    dx = half_channel%x(wall) - x
+    dy = half_channel%y(wall) - y
     ! Sine and cosine of the incidence.
     sine = max(-1.0_wp, min((dx*uy - dy*ux)/radius, 1.0_wp))
     cosine = sqrt((1.0_wp - sine)*(1.0_wp + sine))
-    x = half_channel%x(met) - radius*(cosine*ux + sine*uy)
-    y = half_channel%y(met) - radius*(cosine*uy - sine*ux)
+    x = half_channel%x(wall) - radius*(cosine*ux + sine*uy)
+    y = half_channel%y(wall) - radius*(cosine*uy - sine*ux)
     along = (sine - cosine)*(sine + cosine)
     across = 2.0_wp*sine*cosine
     dx = along*ux - across*uy
@@ -137,17 +137,17 @@ contains
     !> Whether the state recurs.
     logical, intent(out) :: yes
     real(wp) :: now(4), mark(4), wait
-    integer(wall_kind) :: met
+    integer(wall_kind) :: wall
     integer :: hit
 
     yes = .false.
     now = [x, y, ux, uy]
     do hit = 0, longest_part
       if (hit == 1) mark = now
-      call find_next_wall_in_half_channel(half_channel, now(1), now(2), now(3), now(4), met, wait)
-      if (met < meets_channel_wall) return
+      call find_next_wall_in_half_channel(half_channel, now(1), now(2), now(3), now(4), wall, wait)
+      if (wall < meets_channel_wall) return
       now(:2) = now(:2) + wait*now(3:)
-      call reflect_in_half_channel(half_channel, int(met), now(1), now(2), now(3), now(4))
+      call reflect_in_half_channel(half_channel, int(wall), now(1), now(2), now(3), now(4))
       if (hit > 0) yes = .not. any(abs(now - mark) > 0.0_wp)
       if (yes) return
     end do

@@ -5,19 +5,19 @@
 !> length is free; the speed of a particle is 1, so times are lengths too. Source: Cirillo,
 !> Colangeli, Richardson, Rondoni, PRE 103, 032119 (2021), Fig. model, eq. (eq000).
 !>
-!> **Indices.** Urns 1 and 2; channels 1 (`gated`) and 2 (`ungated`); to each urn belong three
-!> chambers: the urn, its half of channel 1 (the gate), and its half of channel 2. The halves of a
-!> channel meet at a line: the middle line, and the periodic line. The single urn of Fig. app1 is a
-!> table of one half: its middle line is a wall that leads back to it. Only `battery_urn` knows the
-!> shape of an urn.
+!> **Indices.** Urns 1 and 2; channels 1 (`channel1`) and 2 (`channel2`); to each urn belong three
+!> regions, called chambers: the urn, its half of channel 1 (the gate), and its half of channel 2.
+!> The halves of a channel meet at a line: the middle line, and the periodic line. The single urn of
+!> Fig. app1 is a table of one half: its middle line is a wall that leads back to it. Only
+!> `battery_urn` knows the shape of an urn.
 module battery_table
   use battery_kinds, only: wp, pi
   use battery_powers, only: power_above
-  use battery_channel, only: channel_type, is_open, fold_into_channel, gated, ungated, no_channel, &
-    facing
-  use battery_chamber, only: mean_visit
+  use battery_channel, only: channel_type, is_open, fold_into_channel, channel1, channel2, &
+    no_channel, facing
+  use battery_urn_shape, only: mean_urn_passage
   use battery_corners, only: is_rational_polygon
-  use battery_motion, only: outside, in_urn, in_gate, in_return
+  use battery_motion, only: outside, in_urn, in_gate, in_channel2
   use battery_scatterers, only: scattered_half_channel_type, new_scattered_half_channel, &
     is_in_scatterer, measure_scatterers
   use battery_urn, only: urn_type, shape_polygon, derive_shape, are_mirror_images, contains_point, &
@@ -25,11 +25,11 @@ module battery_table
   implicit none (type, external)
   private
   public :: table_type, urn_type, channel_type, new_table, shape_circuit, shape_urn
-  public :: gated, ungated, no_channel, outside, in_urn, in_gate, in_return
+  public :: channel1, channel2, no_channel, outside, in_urn, in_gate, in_channel2
   public :: urn_at, chamber_at, x_direction, is_open, are_mirror_images, passage_type, passage_at
-  public :: area, perimeter, half_length, mean_visit, shortest_excursion, try_random_point, &
+  public :: area, perimeter, half_length, mean_urn_passage, shortest_excursion, try_random_point, &
     longest_run
-  public :: is_scattered, relaxation_time
+  public :: has_scatterers, relaxation_time
 
   !> Shapes: the circuit of Fig. model, and the single urn with a gate and an end wall of Fig. app1.
   integer, parameter :: shape_circuit = 1, shape_urn = 2
@@ -41,13 +41,13 @@ module battery_table
   !> Direction along x from the origin to each urn.
   real(wp), parameter :: x_direction(2) = [-1.0_wp, 1.0_wp]
 
-  !> The whole table: urns by index, channels by `gated` and `ungated`.
+  !> The whole table: urns by index, channels by `channel1` and `channel2`.
   type :: table_type
     !> Number of urns: 2, or 1 for the single urn.
-    integer :: sides = 2
-    !> For each urn, the urn on the other side of the lines of its channels; of the single urn:
-    !> itself, since its end wall reflects.
-    integer :: beyond(2) = [2, 1]
+    integer :: urn_count = 2
+    !> For each urn, the urn across the lines of its channels: one array for the middle line and the
+    !> periodic line. Of the single urn: itself, since its end wall reflects.
+    integer :: urn_across(2) = [2, 1]
     type(urn_type) :: urn(2)
     type(channel_type) :: channel(2)
     !> Fixed discs in channel 2: (z, y, radius) of each, z along the channel from urn 2 over the
@@ -63,9 +63,9 @@ module battery_table
     !> Urn and chamber that the particle is in; its channel, or `no_channel`: then the rest is not
     !> set.
     integer :: urn = 0, chamber = outside, channel = no_channel
-    !> Whether the particle is too slow to reach either end; if not, whether it moves away from its
-    !> urn, towards the line of the channel.
-    logical :: endless = .false., moves_away = .false.
+    !> Whether the particle is trapped: too slow ever to reach an end; if not, whether it moves away
+    !> from its urn, towards the line of the channel.
+    logical :: trapped = .false., moves_away = .false.
     !> Time until the particle reaches its urn; below 0: minus the time since it left the urn.
     real(wp) :: time = 0.0_wp
     !> If the particle moves away from its urn: height at which it left the urn; -1 if u_y has
@@ -112,21 +112,22 @@ contains
     allocate (table%scatterers(3, 0))
     if (present(scatterers)) table%scatterers = scatterers
     if (shape == shape_urn) then
-      table%sides = 1
-      table%beyond = [1, 2]
-      table%channel(ungated)%width = 0.0_wp
+      table%urn_count = 1
+      table%urn_across = [1, 2]
+      table%channel(channel2)%width = 0.0_wp
     end if
     do urn_index = 1, 2
-      table%urn(urn_index) = urn(min(urn_index, table%sides))
+      table%urn(urn_index) = urn(min(urn_index, table%urn_count))
       call derive_shape(table%urn(urn_index), table%channel)
-      associate (here => table%urn(urn_index))
-        here%axis_sign = -x_direction(urn_index)
-        here%centre = 0.5_wp*channel(gated)%length + here%chord(gated)
-        here%channel_start = [0.5_wp*channel(gated)%length, here%centre + here%chord(ungated)]
-        here%periodic_line = here%channel_start(ungated) + 0.5_wp*channel(ungated)%length
+      associate (this_urn => table%urn(urn_index))
+        this_urn%axis_sign = -x_direction(urn_index)
+        this_urn%centre = 0.5_wp*channel(channel1)%length + this_urn%chord(channel1)
+        this_urn%channel_start = [0.5_wp*channel(channel1)%length, &
+          this_urn%centre + this_urn%chord(channel2)]
+        this_urn%periodic_line = this_urn%channel_start(channel2) + 0.5_wp*channel(channel2)%length
       end associate
-      if (size(table%scatterers) > 0 .and. is_open(table%channel(ungated))) &
-        table%half_channel2(urn_index) = new_scattered_half_channel(channel(ungated), &
+      if (size(table%scatterers) > 0 .and. is_open(table%channel(channel2))) &
+        table%half_channel2(urn_index) = new_scattered_half_channel(channel(channel2), &
         table%scatterers, -x_direction(urn_index))
     end do
     table%epoch = power_above(4.0_wp*max(2.0_wp*maxval(table%urn%reach), &
@@ -134,22 +135,22 @@ contains
     table%urn%shortest = epsilon(1.0_wp)*table%epoch
   end function new_table_of_urns
 
-  !> Whether there are discs in channel 2.
-  pure logical function is_scattered(table)
+  !> Whether there are discs (scatterers) in channel 2.
+  pure logical function has_scatterers(table)
     type(table_type), intent(in) :: table
 
-    is_scattered = table%half_channel2(1)%count > 0
-  end function is_scattered
+    has_scatterers = table%half_channel2(1)%count > 0
+  end function has_scatterers
 
   !> Area |Q| of the whole table, open channels included.
   pure function area(table) result(total)
     type(table_type), intent(in) :: table
     real(wp) :: total, covered, added
 
-    total = sum(table%urn(:table%sides)%area) + sum(0.5_wp*real(table%sides, wp) &
-      *table%channel%length*table%channel%width)
-    call measure_scatterers(table%channel(ungated), table%scatterers, covered, added)
-    if (is_scattered(table)) total = total - covered
+    total = sum(table%urn(:table%urn_count)%area) + sum(0.5_wp*real(table%urn_count, &
+      wp)*table%channel%length*table%channel%width)
+    call measure_scatterers(table%channel(channel2), table%scatterers, covered, added)
+    if (has_scatterers(table)) total = total - covered
   end function area
 
   !> Length |dQ| of all walls, the end wall of the single urn included.
@@ -157,11 +158,11 @@ contains
     type(table_type), intent(in) :: table
     real(wp) :: length, covered, added
 
-    length = sum(table%urn(:table%sides)%perimeter) + real(table%sides, wp) &
-      *sum(table%channel%length, mask=is_open(table%channel))
-    if (table%beyond(1) == 1) length = length + table%channel(gated)%width
-    call measure_scatterers(table%channel(ungated), table%scatterers, covered, added)
-    if (is_scattered(table)) length = length + added
+    length = sum(table%urn(:table%urn_count)%perimeter) + real(table%urn_count, &
+      wp)*sum(table%channel%length, mask=is_open(table%channel))
+    if (table%urn_across(1) == 1) length = length + table%channel(channel1)%width
+    call measure_scatterers(table%channel(channel2), table%scatterers, covered, added)
+    if (has_scatterers(table)) length = length + added
   end function perimeter
 
   !> |x| at the far end of the table, on the longer half.
@@ -170,7 +171,7 @@ contains
     real(wp) :: length
 
     length = maxval(table%urn%centre + table%urn%reach)
-    if (is_open(table%channel(ungated))) length = maxval(table%urn%periodic_line)
+    if (is_open(table%channel(channel2))) length = maxval(table%urn%periodic_line)
   end function half_length
 
   !> Shortest time from any event of a particle (entry into a gate, crossing of the middle line,
@@ -181,12 +182,12 @@ contains
     type(table_type), intent(in) :: table
     real(wp) :: time
 
-    associate (urn => table%urn(:table%sides), channel => table%channel(ungated))
-      time = 2.0_wp*minval(urn%depth(gated))
-      if (is_scattered(table)) then
-        time = min(time, minval(urn%depth(ungated) + urn%depth(gated)))
+    associate (urn => table%urn(:table%urn_count), channel => table%channel(channel2))
+      time = 2.0_wp*minval(urn%depth(channel1))
+      if (has_scatterers(table)) then
+        time = min(time, minval(urn%depth(channel2) + urn%depth(channel1)))
       else if (is_open(channel)) then
-        time = min(time, 2.0_wp*minval(urn%depth(ungated)) + channel%length)
+        time = min(time, 2.0_wp*minval(urn%depth(channel2)) + channel%length)
       end if
     end associate
   end function shortest_excursion
@@ -199,9 +200,9 @@ contains
     real(wp) :: time, radius
 
     time = huge(1.0_wp)
-    if (.not. is_open(table%channel(gated)) .or. has_finite_directions(table)) return
-    radius = sqrt(maxval(table%urn(:table%sides)%area)/pi)
-    time = 25.0_wp*radius*(radius/table%channel(gated)%width)**3
+    if (.not. is_open(table%channel(channel1)) .or. has_finite_directions(table)) return
+    radius = sqrt(maxval(table%urn(:table%urn_count)%area)/pi)
+    time = 25.0_wp*radius*(radius/table%channel(channel1)%width)**3
   end function relaxation_time
 
   !> Whether all urns are polygons in which a particle has only finitely many directions (the same
@@ -210,8 +211,8 @@ contains
     type(table_type), intent(in) :: table
     integer :: urn
 
-    has_finite_directions = .not. is_scattered(table)
-    do urn = 1, table%sides
+    has_finite_directions = .not. has_scatterers(table)
+    do urn = 1, table%urn_count
       if (.not. has_finite_directions) return
       has_finite_directions = table%urn(urn)%shape == shape_polygon
       if (has_finite_directions) has_finite_directions = is_rational_polygon(table%urn(urn)%corner)
@@ -226,7 +227,7 @@ contains
     real(wp), intent(in) :: x
     integer :: urn
 
-    urn = merge(1, table%sides, x < 0.0_wp)
+    urn = merge(1, table%urn_count, x < 0.0_wp)
   end function urn_at
 
   !> Chamber that contains the point (x, y); a point on a chord belongs to the channel. `tolerance`
@@ -239,11 +240,12 @@ contains
 
     chamber = outside
     associate (urn => table%urn(urn_at(table, x)))
-      if (abs(x) <= urn%channel_start(gated)) then
-        if (abs(y) <= urn%half_width(gated) + tolerance) chamber = in_gate
-      else if (is_open(table%channel(ungated)) .and. abs(x) - urn%centre >= urn%chord(ungated)) then
-        if (abs(y) <= urn%half_width(ungated) + tolerance .and. &
-          abs(x) <= urn%periodic_line + tolerance) chamber = in_return
+      if (abs(x) <= urn%channel_start(channel1)) then
+        if (abs(y) <= urn%half_width(channel1) + tolerance) chamber = in_gate
+      else if (is_open(table%channel(channel2)) &
+        .and. abs(x) - urn%centre >= urn%chord(channel2)) then
+        if (abs(y) <= urn%half_width(channel2) + tolerance .and. &
+          abs(x) <= urn%periodic_line + tolerance) chamber = in_channel2
         if (is_in_scatterer(table%half_channel2(urn_at(table, x)), urn%periodic_line - abs(x), y, &
           tolerance)) chamber = outside
       else if (contains_point(urn, urn%centre - abs(x), y, tolerance)) then
@@ -251,18 +253,19 @@ contains
       end if
       if (urn%overhangs .and. chamber /= in_urn) then
         ! An urn may extend beside a channel, or over its end.
-        if (abs(y) > urn%half_width(merge(gated, ungated, abs(x) <= urn%channel_start(gated))) &
-          .and. contains_point(urn, urn%centre - abs(x), y, 0.0_wp)) chamber = in_urn
+        if (abs(y) > urn%half_width(merge(channel1, channel2, abs(x) &
+          <= urn%channel_start(channel1))) .and. contains_point(urn, urn%centre - abs(x), y, &
+          0.0_wp)) chamber = in_urn
         if (chamber == outside .and. contains_point(urn, urn%centre - abs(x), y, tolerance)) &
           chamber = in_urn
       end if
     end associate
-    if (table%sides == 1 .and. x > tolerance) chamber = outside
+    if (table%urn_count == 1 .and. x > tolerance) chamber = outside
   end function chamber_at
 
   !> Passage of a particle that is in a channel: the time since it left its urn, or until it reaches
-  !> it. Passages that take longer than the longest run, or have more wall hits than an integer can
-  !> count, are endless.
+  !> it. A particle is trapped if its passage would take longer than the longest run, or have more
+  !> wall hits than an integer can count.
   pure function passage_at(table, x, y, ux, uy) result(passage)
     type(table_type), intent(in) :: table
     !> Position in the frame of the table, lengths; velocity, of length 1.
@@ -274,14 +277,14 @@ contains
     passage%urn = urn_at(table, x)
     passage%chamber = chamber_at(table, x, y, huge(1.0_wp))
     if (passage%chamber == in_urn) return
-    passage%channel = merge(ungated, gated, passage%chamber == in_return)
+    passage%channel = merge(channel2, channel1, passage%chamber == in_channel2)
     associate (urn => table%urn(passage%urn), channel => table%channel(passage%channel))
-      passage%endless = .not. abs(ux)*min(longest_run*urn%reach, most_hits*channel%width) &
-        > channel%length
-      if (passage%endless) return
+      passage%trapped = .not. abs(ux)*min(longest_run*urn%reach, &
+        most_hits*channel%width) > channel%length
+      if (passage%trapped) return
       ! Distance beyond the chord, and velocity away from it.
-      depth = urn%channel_start(gated) - abs(x)
-      if (passage%channel == ungated) depth = abs(x) - urn%centre - urn%chord(ungated)
+      depth = urn%channel_start(channel1) - abs(x)
+      if (passage%channel == channel2) depth = abs(x) - urn%centre - urn%chord(channel2)
       outward = facing(passage%channel)*urn%axis_sign*ux
       passage%time = -depth/outward
       passage%moves_away = outward > 0.0_wp

@@ -1,12 +1,12 @@
 !> Urns: the list of their shapes, and the dispatch to each of them.
 !>
-!> A shape is a type that extends `chamber_type`, with the procedures below in the frame of the urn.
-!> A new shape is a file, a component of `urn_type`, and a `case` in each procedure here. Dispatch
-!> is by an integer, once a batch or once a wall, never through a pointer.
+!> A shape is a type that extends `urn_shape_type`, with the procedures below in the frame of the
+!> urn. A new shape is a file, a component of `urn_type`, and a `case` in each procedure here.
+!> Dispatch is by an integer, once a batch or once a wall, never through a pointer.
 module battery_urn
   use battery_kinds, only: wp, int64
   use battery_channel, only: channel_type, no_channel
-  use battery_chamber, only: chamber_type
+  use battery_urn_shape, only: urn_shape_type
   use battery_disc, only: disc_type, new_disc, is_in_disc, try_point_in_disc, locate_in_disc, &
     find_first_impact_in_disc, find_next_wall_in_disc, reflect_in_disc, reflect_overshoot_in_disc
   use battery_disc_visits, only: compute_disc_visits
@@ -26,7 +26,7 @@ module battery_urn
   integer, parameter :: shape_disc = 1, shape_polygon = 2
 
   !> An urn of the table.
-  type, extends(chamber_type) :: urn_type
+  type, extends(urn_shape_type) :: urn_type
     !> As specified by the user: shape, radius of a disc or of a regular polygon, corners of a
     !> polygon as (x, y) in columns.
     integer :: shape = shape_disc
@@ -64,16 +64,16 @@ contains
   pure subroutine derive_shape(urn, channel)
     !> An urn whose shape is set.
     type(urn_type), intent(inout) :: urn
-    !> Channels by `gated` and `ungated`.
+    !> Channels by `channel1` and `channel2`.
     type(channel_type), intent(in) :: channel(2)
 
     select case (urn%shape)
     case (shape_polygon)
       urn%polygon = new_polygon(urn%corner, channel)
-      urn%chamber_type = urn%polygon%chamber_type
+      urn%urn_shape_type = urn%polygon%urn_shape_type
     case default
       urn%disc = new_disc(urn%radius, channel)
-      urn%chamber_type = urn%disc%chamber_type
+      urn%urn_shape_type = urn%disc%urn_shape_type
     end select
   end subroutine derive_shape
 
@@ -123,7 +123,8 @@ contains
     x = urn%axis_sign*(x - urn%centre)
   end subroutine try_random_point
 
-  !> Computes all visits of a batch; input and output are explained at `visits_type`.
+  !> Computes the passages through the urn of a batch of visits that `cross_channels` has taken to
+  !> the urn; input and output are explained at `visits_type`.
   subroutine compute_visits(urn, visits)
     type(urn_type), intent(in) :: urn
     type(visits_type), intent(inout) :: visits
@@ -137,7 +138,7 @@ contains
   end subroutine compute_visits
 
   !> Finds the first impact of a particle in the urn, openings counted as wall, in the form that
-  !> `locate_in_visit` expects for a visit that never ends.
+  !> `locate_in_visit` expects for a passage that never ends.
   pure subroutine find_first_impact(urn, x, y, ux, uy, at, u_axial, u_lateral, wait, before)
     type(urn_type), intent(in) :: urn
     !> Position and velocity in the frame of the urn: lengths, and a vector of length 1.
@@ -177,16 +178,17 @@ contains
     hits = hits + before
   end subroutine locate_after
 
-  !> Position of a particle at a time relative to an impact, or to the end of its visit.
+  !> Position of a particle in the urn at a time relative to an impact, or to the end of its
+  !> passage.
   pure subroutine locate_in_visit(urn, channel, y, u_axial, u_lateral, since, position, velocity, &
     hits)
     type(urn_type), intent(in) :: urn
-    !> Channel through which the visit ends; `no_channel` or `truncated`.
+    !> Channel to which the passage leads; `no_channel` or `truncated`.
     integer, intent(in) :: channel
     !> Height, |u_x| and u_y at the chord, or the description of an impact (`visits_type`).
     real(wp), intent(in) :: y, u_axial, u_lateral
-    !> Time since the impact or the end of the visit; below 0: time until then. The particle has not
-    !> left the urn.
+    !> Time since the impact or the end of the passage; below 0: time until then. The particle has
+    !> not left the urn.
     real(wp), intent(in) :: since
     !> x and y of each in the frame of the urn: lengths, and a vector of length 1.
     real(wp), intent(out) :: position(2), velocity(2)
@@ -221,8 +223,8 @@ contains
     end select
   end subroutine find_next_wall
 
-  !> Reflects a particle at the wall `next`; finds the wall or opening that it reaches `next`, and
-  !> the time `wait` until then.
+  !> Reflects a particle at the wall `next`; finds the wall or opening that it reaches then, the new
+  !> `next`, and the time `wait` until then.
   pure subroutine reflect_at_wall(urn, x, y, ux, uy, next, wait)
     type(urn_type), intent(in) :: urn
     !> Position and velocity in the frame of the urn.

@@ -1,7 +1,9 @@
-!> A batch of visits to the urns, as a structure of arrays.
+!> A batch of visits, as a structure of arrays. A visit is the passage of a particle through a
+!> channel (`cross_channels`) and then through the urn behind it, up to an opening
+!> (`compute_visits`).
 module battery_visits
   use battery_kinds, only: wp, int64
-  use battery_channel, only: gated, none => no_channel
+  use battery_channel, only: channel1, none => no_channel
   implicit none (type, external)
   private
   public :: visits_type, reserve_visits, split_visits_by_urn, group_size, no_channel, truncated, &
@@ -13,12 +15,12 @@ module battery_visits
   !> In place of a channel: the particle never leaves.
   integer(int64), parameter :: no_channel = none
 
-  !> In place of a channel: the visit is truncated. It is described as that of a particle that never
-  !> leaves, at the end of the part. `through` is half the length of the part: the time before its
-  !> end at which the next part is computed.
+  !> In place of a channel: the visit is truncated after a part of it. It is described as that of a
+  !> particle that never leaves, at the end of the part. `through` is then half the length of the
+  !> part: the time before its end at which the next part is computed.
   integer(int64), parameter :: truncated = -1
 
-  !> Least number of wall hits in the urn that puts a visit on the list `many`.
+  !> Least number of wall hits in the urn that puts a visit on the list `many_hits_index`.
   real(wp), parameter :: many_hits = 112.0_wp
 
   !> A batch of visits; arrays are padded to whole groups of `group_size`.
@@ -31,9 +33,9 @@ module battery_visits
     !> In: time of entry into the channel before the urn. Out of `cross_channels`: time of entry
     !> into the urn.
     real(wp), allocatable :: time(:)
-    !> Time at which a gate turned the particle back in that channel, or huge; time spent in that
+    !> Time at which a gate reversed the particle in that channel, or huge; time spent in that
     !> channel.
-    real(wp), allocatable :: turned(:), passage(:)
+    real(wp), allocatable :: reversal_time(:), passage(:)
     !> In: the channel before the urn. Out of `compute_visits`: the next channel, or `no_channel`.
     integer(int64), allocatable :: channel(:)
     !> Out of `compute_visits`: time through the next channel, from end to end.
@@ -55,8 +57,8 @@ module battery_visits
     integer(int64) :: all_hits = 0
     !> Out of `compute_visits`: number of visits that have at least `many_hits` hits in the urn,
     !> never end, or are truncated, and their indices. The list may contain others too.
-    integer :: many_count = 0
-    integer, allocatable :: many(:)
+    integer :: many_hits_count = 0
+    integer, allocatable :: many_hits_index(:)
     !> Work space of the kernel: impact, rotation, steps, and the visit that they belong to.
     real(wp), allocatable :: px(:), py(:), zx(:), zy(:), steps(:)
     integer, allocatable :: slot(:)
@@ -75,7 +77,7 @@ contains
     integer, intent(in) :: capacity
 
     visits%count = 0
-    visits%many_count = 0
+    visits%many_hits_count = 0
     if (capacity > visits%capacity) call allocate_visits(visits, capacity)
   end subroutine reserve_visits
 
@@ -88,14 +90,15 @@ contains
     n = group_size*((max(capacity, 64) + max(capacity, 64)/2)/group_size + 1)
     visits = visits_type()
     visits%capacity = n
-    allocate (visits%time(n), visits%passage(n), visits%turned(n), visits%through(n), visits%x(n), &
-      visits%y(n), visits%u_axial(n), visits%u_lateral(n), visits%length(n), visits%hits(n), &
-      visits%px(n), visits%py(n), visits%zx(n), visits%zy(n), visits%steps(n), visits%c(n), &
-      visits%s(n), visits%hit_x(n), visits%hit_y(n), visits%impacts(n), visits%first(n), &
-      source=0.5_wp)
-    allocate (visits%particle(n), visits%urn(n), visits%slot(n), visits%many(n), source=0)
+    allocate (visits%time(n), visits%passage(n), visits%reversal_time(n), visits%through(n), &
+      visits%x(n), visits%y(n), visits%u_axial(n), visits%u_lateral(n), visits%length(n), &
+      visits%hits(n), visits%px(n), visits%py(n), visits%zx(n), visits%zy(n), visits%steps(n), &
+      visits%c(n), visits%s(n), visits%hit_x(n), visits%hit_y(n), visits%impacts(n), &
+      visits%first(n), source=0.5_wp)
+    allocate (visits%particle(n), visits%urn(n), visits%slot(n), visits%many_hits_index(n), &
+      source=0)
     ! Padding lanes of the last group: particles from channel 1, which is never closed.
-    allocate (visits%channel(n), source=int(gated, int64))
+    allocate (visits%channel(n), source=int(channel1, int64))
   end subroutine allocate_visits
 
   !> Moves the visits to urn 2 into a batch of their own: particle, channel and time of reversal.
@@ -115,11 +118,11 @@ contains
     other%particle(:n - kept) = pack(visits%particle(:n), second)
     other%urn(:n - kept) = 2
     other%channel(:n - kept) = pack(visits%channel(:n), second)
-    other%turned(:n - kept) = pack(visits%turned(:n), second)
+    other%reversal_time(:n - kept) = pack(visits%reversal_time(:n), second)
     visits%particle(:kept) = pack(visits%particle(:n), .not. second)
     visits%urn(:kept) = 1
     visits%channel(:kept) = pack(visits%channel(:n), .not. second)
-    visits%turned(:kept) = pack(visits%turned(:n), .not. second)
+    visits%reversal_time(:kept) = pack(visits%reversal_time(:n), .not. second)
     visits%count = kept
   end subroutine split_visits_by_urn
 

@@ -11,7 +11,7 @@ module law_tables
     mirrored_y
   implicit none (type, external)
   private
-  public :: law_table, image_of, supports
+  public :: law_table, image_of, reason_unsupported
 
   !> The tables, in the order of the cases of `law_table`. Urns are discs in those up to `dense`.
   integer, parameter, public :: uneven = 1, unequal = 2, closed = 3, single = 4, paper = 5, &
@@ -144,16 +144,16 @@ contains
   end function image_of
 
   !> Whether an engine can simulate a table; with a step of 0.01, if it has one.
-  function supports(name, table)
+  function reason_unsupported(name, table)
     character(len=*), intent(in) :: name
     type(table_type), intent(in) :: table
-    logical :: supports
+    logical :: reason_unsupported
     class(engine_type), allocatable :: engine
     type(error_type), allocatable :: error
 
     call new_engine(trim(name), engine, error)
     engine%time_step = 0.01_wp
-    supports = engine%supports(table) == ''
-  end function supports
+    reason_unsupported = engine%reason_unsupported(table) == ''
+  end function reason_unsupported
 
 end module law_tables

@@ -246,7 +246,7 @@ contains
         plain%counted(i) = 0
         plain%x(i) = 0.0_qp
         call note(log, real(plain%now, wp), event_crossing1, gate, i)
-        if (plain%table%sides == 1) then
+        if (plain%table%urn_count == 1) then
           plain%ux(i) = -plain%ux(i)
           plain%hits = plain%hits + 1
         end if

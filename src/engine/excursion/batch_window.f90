@@ -2,8 +2,9 @@
 !> line, passed through each gate at once (`admit_entries`), crossings sorted afterwards.
 module battery_batch_window
   use battery_kinds, only: wp, int8, int64
-  use battery_table, only: gated, ungated
-  use battery_gate, only: gate_type, stretch_type, reserve_stretch, admit_entries, number_inside
+  use battery_table, only: channel1, channel2
+  use battery_gate, only: gate_type, gate_window_type, reserve_gate_window, admit_entries, &
+    number_inside
   use battery_ordering, only: sort_by_time
   use battery_calendar, only: calendar_type, flight_type
   use battery_flight, only: middle_time, never, to_gate, counted_in_gate
@@ -27,8 +28,8 @@ module battery_batch_window
     integer :: partition_count(3) = 0
     real(wp), allocatable :: due(:, :), middle(:, :)
     integer, allocatable :: particle(:, :)
-    !> Reversals and crossings that the entries into each gate lead to.
-    type(stretch_type) :: stretch(2)
+    !> For each gate, the entries of the window and the reversals that follow from them.
+    type(gate_window_type) :: gate_window(2)
     !> Crossings of all lines: time, and a sort key that encodes line and particle
     !> (`crossing_order_of`). The gates write the particle alone, which is the key of the first
     !> line; `sort_crossings` adds the line to the keys of the others.
@@ -39,26 +40,26 @@ module battery_batch_window
 
 contains
 
-  !> Processes the first `events` sorted events and all middle-line crossings before `ends`:
+  !> Processes the first `events` sorted events and all middle-line crossings before `window_end`:
   !> partitions them by gate, applies the rule of each gate, sorts the crossings, and adds the
   !> visits that begin to the batch. The gates are independent within a window.
-  subroutine run_batch_window(window, gate, beyond, number, flight, calendar, events, began, ends, &
-    visits, event_record, end_wall_hits)
+  subroutine run_batch_window(window, gate, urn_across, number, flight, calendar, events, &
+    window_start, window_end, visits, event_record, computed_hits)
     !> Work space.
     type(batch_window_type), intent(inout) :: window
     type(gate_type), intent(inout) :: gate(2)
     !> Urn on the far side of a line, by the urn that a particle comes from; number of particles.
-    integer, intent(in) :: beyond(2), number
+    integer, intent(in) :: urn_across(2), number
     type(flight_type), intent(inout) :: flight(number)
     type(calendar_type), intent(in) :: calendar
     !> Number of sorted events of the calendar that belong to the window.
     integer, intent(in) :: events
     !> Start and end of the window.
-    real(wp), intent(in) :: began, ends
+    real(wp), intent(in) :: window_start, window_end
     type(visits_type), intent(inout) :: visits
     type(event_record_type), intent(inout) :: event_record
-    !> Increased by hits on the end wall of a single urn.
-    integer(int64), intent(inout) :: end_wall_hits
+    !> Wall hits of all visits; increased by hits on the end wall of a single urn.
+    integer(int64), intent(inout) :: computed_hits
     integer :: urn, before, crossed, crossed_before, from_gate(2)
 
     call reserve_batch_window(window, events, number_inside(gate))
@@ -69,33 +70,35 @@ contains
       do urn = 1, 2
         before = v%count
         crossed_before = crossed
-        call admit_entries(gate(urn), w%stretch(urn), w%partition_count(urn), w%due(:, urn), &
-          w%middle(:, urn), w%particle(:, urn), ends, v%count, v%particle, v%turned, crossed, &
-          w%crossing_order, w%crossing_time)
+        call admit_entries(gate(urn), w%gate_window(urn), w%partition_count(urn), w%due(:, urn), &
+          w%middle(:, urn), w%particle(:, urn), window_end, v%count, v%particle, v%reversal_time, &
+          crossed, w%crossing_order, w%crossing_time)
         v%urn(before + 1:v%count) = urn
-        v%channel(before + 1:v%count) = gated
+        v%channel(before + 1:v%count) = channel1
         from_gate(urn) = crossed - crossed_before
-        if (beyond(urn) == urn) end_wall_hits = end_wall_hits + from_gate(urn)
+        if (urn_across(urn) == urn) computed_hits = computed_hits + from_gate(urn)
       end do
       call sort_crossings(w, from_gate(1), from_gate(2))
       if (event_record%logging) then
-        call record_logged_events(w, number, flight, began, events, due, particle, event_record)
+        call record_logged_events(w, number, flight, window_start, events, due, particle, &
+          event_record)
       else
-        event_record%reversals = w%stretch%reversals
+        event_record%reversals = w%gate_window%reversals
         event_record%bounce_backs = v%count
         event_record%crossings = w%crossings
         call record_crossings(w%crossings, w%crossing_time, w%crossing_order, number, flight, &
-          began, event_record%crossing_time, event_record%crossing)
+          window_start, event_record%crossing_time, event_record%crossing)
       end if
       before = v%count + 1
       v%count = v%count + w%crossings
-      call add_crossing_visits(w%crossings, w%crossing_order, beyond, number, flight, &
+      call add_crossing_visits(w%crossings, w%crossing_order, urn_across, number, flight, &
         v%particle(before:v%count), v%urn(before:v%count), v%channel(before:v%count), &
-        v%turned(before:v%count))
+        v%reversal_time(before:v%count))
     end associate
   end subroutine run_batch_window
 
-  !> Allocates the arrays for that many events and counted particles.
+  !> Makes the arrays large enough for `events` events and `counted` particles in the gates; they
+  !> never shrink.
   subroutine reserve_batch_window(window, events, counted)
     type(batch_window_type), intent(inout) :: window
     !> Events of the window.
@@ -105,7 +108,7 @@ contains
     integer :: urn, capacity
 
     do urn = 1, 2
-      call reserve_stretch(window%stretch(urn), events + counted(urn))
+      call reserve_gate_window(window%gate_window(urn), events + counted(urn))
     end do
     window%crossings = 0
     capacity = events + sum(counted)
@@ -162,16 +165,16 @@ contains
     type(batch_window_type), intent(inout) :: window
     !> Crossings of the middle line from each gate.
     integer, intent(in) :: from_gate1, from_gate2
-    integer :: crossed, returned
+    integer :: crossed, periodic
 
     crossed = from_gate1 + from_gate2
-    returned = window%partition_count(periodic_line)
+    periodic = window%partition_count(periodic_line)
     window%crossing_order(from_gate1 + 1:crossed) = crossing_order_of(2, &
       window%crossing_order(from_gate1 + 1:crossed))
-    window%crossing_time(crossed + 1:crossed + returned) = window%due(:returned, periodic_line)
-    window%crossing_order(crossed + 1:crossed + returned) = crossing_order_of(periodic_line, &
-      window%particle(:returned, periodic_line))
-    window%crossings = crossed + returned
+    window%crossing_time(crossed + 1:crossed + periodic) = window%due(:periodic, periodic_line)
+    window%crossing_order(crossed + 1:crossed + periodic) = crossing_order_of(periodic_line, &
+      window%particle(:periodic, periodic_line))
+    window%crossings = crossed + periodic
     call sort_by_time(window%crossings, window%crossing_time, window%crossing_order)
   end subroutine sort_crossings
 
@@ -205,14 +208,14 @@ contains
     integer, intent(out) :: particle, urn, channel
 
     particle = ibits(crossing_order, 0, particle_bits)
-    channel = merge(ungated, gated, line_of_crossing(crossing_order) == periodic_line)
+    channel = merge(channel2, channel1, line_of_crossing(crossing_order) == periodic_line)
     ! A flight keeps the urn it left until the next flight is stored.
     urn = flight(particle)%urn
   end subroutine decode_crossing_order
 
   !> Lists times and kinds of the crossings in the format of an event record.
   pure subroutine record_crossings(crossings, crossing_time, crossing_order, number, flight, &
-    began, recorded_time, recorded)
+    window_start, recorded_time, recorded)
     !> Number of crossings.
     integer, intent(in) :: crossings
     !> As in `batch_window_type`.
@@ -222,7 +225,7 @@ contains
     integer, intent(in) :: number
     type(flight_type), intent(in) :: flight(number)
     !> Start of the window.
-    real(wp), intent(in) :: began
+    real(wp), intent(in) :: window_start
     !> Of each crossing, as in `event_record_type`.
     real(wp), intent(out) :: recorded_time(crossings)
     integer(int8), intent(out) :: recorded(crossings)
@@ -230,44 +233,44 @@ contains
 
     do k = 1, crossings
       call decode_crossing_order(number, flight, crossing_order(k), particle, from, channel)
-      recorded_time(k) = crossing_time(k) - began
+      recorded_time(k) = crossing_time(k) - window_start
       recorded(k) = int(crossing_of(from, channel), int8)
     end do
   end subroutine record_crossings
 
-  !> Describes a visit, straight to the urn beyond the line, for each particle that has crossed one.
-  pure subroutine add_crossing_visits(crossings, crossing_order, beyond, number, flight, particle, &
-    urn, channel, turned)
+  !> Describes a visit, straight to the urn across the line, for each particle that has crossed one.
+  pure subroutine add_crossing_visits(crossings, crossing_order, urn_across, number, flight, &
+    particle, urn, channel, reversal_time)
     !> Number of crossings.
     integer, intent(in) :: crossings
     !> As in `batch_window_type`.
     integer, intent(in) :: crossing_order(crossings)
     !> Urn on the far side of a line, by the urn that a particle comes from; number of particles.
-    integer, intent(in) :: beyond(2), number
+    integer, intent(in) :: urn_across(2), number
     type(flight_type), intent(in) :: flight(number)
     !> Of each visit, as in `visits_type`.
     integer, intent(out) :: particle(crossings), urn(crossings)
     integer(int64), intent(out) :: channel(crossings)
-    real(wp), intent(out) :: turned(crossings)
+    real(wp), intent(out) :: reversal_time(crossings)
     integer :: k, from, crossed
 
     do k = 1, crossings
       call decode_crossing_order(number, flight, crossing_order(k), particle(k), from, crossed)
-      urn(k) = beyond(from)
+      urn(k) = urn_across(from)
       channel(k) = crossed
-      turned(k) = never
+      reversal_time(k) = never
     end do
   end subroutine add_crossing_visits
 
   !> Writes all events of the window to the event record, with the event log.
-  subroutine record_logged_events(window, number, flight, began, events, due_time, due_particle, &
-    event_record)
+  subroutine record_logged_events(window, number, flight, window_start, events, due_time, &
+    due_particle, event_record)
     type(batch_window_type), intent(in) :: window
     !> Number of particles, number of events, and the flights.
     integer, intent(in) :: number, events
     type(flight_type), intent(in) :: flight(number)
     !> Start of the window.
-    real(wp), intent(in) :: began
+    real(wp), intent(in) :: window_start
     !> Time of each event, as given to `partition_events`.
     real(wp), intent(in) :: due_time(events)
     !> Particle of each event.
@@ -291,14 +294,14 @@ contains
         cycle
       end if
       urn = flight(due_particle(k))%urn
-      call record_event(event_record, due_time(k) - began, event_entry, urn, due_particle(k))
+      call record_event(event_record, due_time(k) - window_start, event_entry, urn, due_particle(k))
       entered(urn) = entered(urn) + 1
-      associate (stretch => window%stretch(urn))
-        if (reversed(urn) == stretch%reversals) cycle
-        if (stretch%last_entry(reversed(urn) + 1) > entered(urn)) cycle
+      associate (gate_window => window%gate_window(urn))
+        if (reversed(urn) == gate_window%reversals) cycle
+        if (gate_window%last_entry(reversed(urn) + 1) > entered(urn)) cycle
         reversed(urn) = reversed(urn) + 1
-        call record_reversal(event_record, due_time(k) - began, urn, &
-          stretch%reversed(reversed(urn)))
+        call record_reversal(event_record, due_time(k) - window_start, urn, &
+          gate_window%reversed(reversed(urn)))
       end associate
     end do
     do while (next <= window%crossings)
@@ -313,7 +316,7 @@ contains
 
       call decode_crossing_order(number, flight, window%crossing_order(next), particle, from, &
         channel)
-      call record_crossing(event_record, window%crossing_time(next) - began, &
+      call record_crossing(event_record, window%crossing_time(next) - window_start, &
         crossing_of(from, channel), particle)
       next = next + 1
     end subroutine record_next_crossing

@@ -1,30 +1,31 @@
-!> The engine `excursion`: event-driven simulation with whole visits to the urns as its unit of
-!> work.
+!> The engine `excursion`: event-driven simulation with whole visits as its unit of work. A visit is
+!> the passage of a particle through a channel and then through the urn behind it, up to the next
+!> opening.
 !>
 !> Particles interact through the counts of the two gates only, so few events need a common order:
 !> entries into a gate, crossings of the middle line of channel 1, crossings of the periodic line.
 !> After any of these events, the particle's next entry or periodic crossing is at least
 !> `shortest_excursion` later: the lookahead. A window no longer than that is processed in two
 !> steps: its events in the order of time (`run_batch_window`, `run_serial_window`), then, in one
-!> batch, the visits to the urns that these events begin.
+!> batch, the visits that these events begin.
 !>
 !> The state of a particle (`flight_type`) is its state on entry into its next channel. Its position
 !> before then is computed backwards from that entry, or forwards from the start of a long visit.
 !>
 !> This file has the type, one window (`advance_window`), the positions of particles, and the
 !> serialisation. Separate files have flights (`flight.f90`), the two ways to process the events of
-!> a window (`serial_window.f90`, `batch_window.f90`), visits computed ahead (`lookahead.f90`), long
-!> and truncated visits (`long_visits.f90`, `partial_visits.f90`), and tables with discs in channel
-!> 2 (`excursion_scattered.f90`, `scatterer_visits.f90`).
+!> a window (`serial_window.f90`, `batch_window.f90`), visits computed before they begin
+!> (`precomputed_visits.f90`), long and truncated visits (`long_visits.f90`, `partial_visits.f90`),
+!> and tables with discs in channel 2 (`excursion_with_scatterers.f90`, `scatterer_visits.f90`).
 module battery_excursion
   use battery_kinds, only: wp, int64, pi
   use battery_archive, only: archive_type
   use battery_calendar, only: calendar_type, flight_type, new_calendar, epoch_for, schedule_event, &
     schedule_events, open_buckets_until, next_due_time, count_due_before, drop_done_events, &
     rebase_calendar
-  use battery_table, only: gated, ungated, in_return, urn_at, chamber_at, are_mirror_images, &
-    mean_visit, shortest_excursion, is_scattered
-  use battery_chamber, only: cross_channels
+  use battery_table, only: channel1, channel2, in_channel2, urn_at, chamber_at, are_mirror_images, &
+    mean_urn_passage, shortest_excursion, has_scatterers
+  use battery_urn_shape, only: cross_channels
   use battery_urn, only: compute_visits
   use battery_visits, only: visits_type, reserve_visits, split_visits_by_urn, truncated
   use battery_scatterers, only: narrowest_gap, detect_periodic_path
@@ -32,14 +33,14 @@ module battery_excursion
   use battery_engine, only: engine_type, particles_type, rebase_gates_and_clock
   use battery_event_record, only: event_record_type, reserve_event_record
   use battery_flight, only: new_flights, make_initial_flight, date_back_flight, load_flights, &
-    store_flights, locate_particle, locate_parked_particle, to_gate, to_return, counted_in_gate, &
-    parked_in_urn, parked_in_channel, partial_visit
+    store_flights, locate_particle, locate_trapped_particle, to_gate, to_periodic_line, &
+    counted_in_gate, trapped_in_urn, trapped_in_channel, partial_visit
   use battery_long_visits, only: long_visits_type, new_long_visits, is_long_visit, &
     store_visit_starts, is_nearer_start, locate_from_start, rebase_long_visits, &
     serialize_long_visits
   use battery_partial_visits, only: split_off_partial_visits, compute_partial_visits
-  use battery_lookahead, only: lookahead_type, lookahead_pays, &
-    compute_with_lookahead, most_lookahead_visits
+  use battery_precomputed_visits, only: precomputed_visits_type, precomputing_pays, &
+    take_or_compute_visits, most_precomputed_visits
   use battery_serial_window, only: run_serial_window, longest_serial_window
   use battery_batch_window, only: batch_window_type, run_batch_window
   use battery_scatterer_visits, only: scatterer_visits_type, new_scatterer_visits, &
@@ -58,9 +59,9 @@ module battery_excursion
     !> cache.
     integer, public :: batch = 1024
     type(flight_type), allocatable :: flight(:)
-    !> x of each particle in the frame of the table, for those parked in a channel; allocated if
+    !> x of each particle in the frame of the table, for those trapped in a channel; allocated if
     !> there are any.
-    real(wp), allocatable :: parked_x(:)
+    real(wp), allocatable :: trapped_x(:)
     type(calendar_type) :: calendar
     !> Work space of a window that is processed as a batch.
     type(batch_window_type) :: batch_window
@@ -68,11 +69,11 @@ module battery_excursion
     type(visits_type) :: visits(2)
     integer :: batches = 1
     !> Whether visits are computed before they begin.
-    logical, public :: looks_ahead = .false.
+    logical, public :: precomputes_visits = .false.
     !> Visits that have been computed before they begin.
-    type(lookahead_type) :: ahead
+    type(precomputed_visits_type) :: precomputed
     !> Whether channel 2 has discs.
-    logical :: scattered = .false.
+    logical :: has_scatterers = .false.
     !> Visits on a table with discs in channel 2.
     type(scatterer_visits_type) :: scatterer_visits
     !> Least time from an event to the next one that depends on it.
@@ -106,42 +107,44 @@ module battery_excursion
   !> `window_hits` hits in it; but it is never made shorter than `least_window` times the lookahead.
   real(wp), parameter :: window_hits = 1.0e6_wp, least_window = 1.0e-3_wp
 
-  ! Tables with discs in channel 2: `excursion_scattered.f90`.
+  ! Tables with discs in channel 2: `excursion_with_scatterers.f90`.
   interface
-    module subroutine load_particles_scattered(self, particles)
+    module subroutine load_particles_with_scatterers(self, particles)
       implicit none (type, external)
       type(excursion_type), intent(inout) :: self
       type(particles_type), intent(inout) :: particles
-    end subroutine load_particles_scattered
+    end subroutine load_particles_with_scatterers
 
-    module subroutine compute_window_visits_scattered(self, began, ends, event_record)
+    module subroutine compute_window_visits_with_scatterers(self, window_start, window_end, &
+      event_record)
       implicit none (type, external)
       type(excursion_type), intent(inout) :: self
       !> Start and end of the window.
-      real(wp), intent(in) :: began, ends
+      real(wp), intent(in) :: window_start, window_end
       type(event_record_type), intent(inout) :: event_record
-    end subroutine compute_window_visits_scattered
+    end subroutine compute_window_visits_with_scatterers
   end interface
 
 contains
 
-  !> Derives sizes and lengths from the table and the number of particles.
+  !> Sets the lookahead, the longest window and the mean time between events from the table and the
+  !> number of particles; allocates the flights.
   subroutine prepare_engine(self)
     class(excursion_type), intent(inout) :: self
 
     self%batches = merge(1, 2, are_mirror_images(self%table%urn))
-    self%interval = 0.5_wp*(mean_visit(self%table%urn(1)) + mean_visit(self%table%urn(2))) &
-      + 0.25_wp*pi*self%table%channel(gated)%length
+    self%interval = 0.5_wp*(mean_urn_passage(self%table%urn(1)) &
+      + mean_urn_passage(self%table%urn(2))) + 0.25_wp*pi*self%table%channel(channel1)%length
     self%lookahead = shortest_excursion(self%table)
     self%window = min(self%lookahead, real(self%batch, wp)*self%interval/real(self%number, wp))
-    self%scattered = is_scattered(self%table)
-    if (self%scattered) then
+    self%has_scatterers = has_scatterers(self%table)
+    if (self%has_scatterers) then
       call new_scatterer_visits(self%scatterer_visits, self%number)
-      self%window = min(self%window, max(least_window*self%lookahead, window_hits &
-        *narrowest_gap(self%table%channel(ungated), self%table%scatterers)))
+      self%window = min(self%window, max(least_window*self%lookahead, &
+        window_hits*narrowest_gap(self%table%channel(channel2), self%table%scatterers)))
     end if
-    self%looks_ahead = self%batches == 1 .and. .not. self%scattered .and. &
-      lookahead_pays(self%number, real(self%number, wp)*self%lookahead/self%interval, &
+    self%precomputes_visits = self%batches == 1 .and. .not. self%has_scatterers .and. &
+      precomputing_pays(self%number, real(self%number, wp)*self%lookahead/self%interval, &
       self%gate%threshold)
     if (allocated(self%flight)) deallocate (self%flight)
     call new_flights(self%flight, self%number)
@@ -158,12 +161,12 @@ contains
     type(particles_type), intent(inout) :: particles
     integer :: i
 
-    if (self%scattered) then
-      call load_particles_scattered(self, particles)
+    if (self%has_scatterers) then
+      call load_particles_with_scatterers(self, particles)
     else
       call load_particles_straight(self, particles)
     end if
-    if (any(self%flight%next_event == parked_in_channel)) self%parked_x = particles%x
+    if (any(self%flight%next_event == trapped_in_channel)) self%trapped_x = particles%x
     deallocate (particles%x, particles%y, particles%ux, particles%uy)
     call new_calendar(self%calendar, self%number, self%interval)
     do i = 1, self%number
@@ -216,7 +219,7 @@ contains
       select case (flight%next_event)
       case (to_gate)
         call schedule_event(self%calendar, self%flight, i, flight%time)
-      case (to_return)
+      case (to_periodic_line)
         call schedule_event(self%calendar, self%flight, i, flight%time + 0.5_wp*flight%through)
       case (partial_visit)
         call schedule_event(self%calendar, self%flight, i, flight%time - flight%through)
@@ -228,7 +231,8 @@ contains
     end associate
   end subroutine schedule_next_event
 
-  !> Computes the visits of batch `b`, from entrance to exit of the urn.
+  !> Computes the passages through the urn of the visits of batch `b`, and adds their wall hits to
+  !> `computed_hits`.
   subroutine compute_urn_visits(self, b)
     type(excursion_type), intent(inout) :: self
     integer, intent(in) :: b
@@ -239,13 +243,14 @@ contains
     end associate
   end subroutine compute_urn_visits
 
-  !> Stores the next flight of each particle of batch `b`.
+  !> Writes the flights in which the visits of batch `b` end to the flights of their particles, and
+  !> the starts of its long visits to `long_visits`.
   subroutine store_batch_flights(self, b)
     type(excursion_type), intent(inout) :: self
     integer, intent(in) :: b
 
     associate (v => self%visits(b))
-      if (v%many_count > 0) call store_visit_starts(self%long_visits, self%number, &
+      if (v%many_hits_count > 0) call store_visit_starts(self%long_visits, self%number, &
         self%flight, v)
       call store_flights(self%number, self%flight, v%count, v%particle, v%urn, v%channel, v%time, &
         v%length, v%y, v%u_axial, v%u_lateral, v%through)
@@ -260,40 +265,40 @@ contains
     class(excursion_type), intent(inout) :: self
     real(wp), intent(in) :: duration
     type(event_record_type), intent(inout) :: event_record
-    real(wp) :: began, limit, ends, due
-    integer :: due_now, done, counted(2)
+    real(wp) :: window_start, limit, window_end, due
+    integer :: due_count, event_count, counted(2)
 
-    began = self%now
+    window_start = self%now
     limit = min(self%now + duration, self%epoch)
     call next_due_time(self%calendar, self%flight, min(limit, first_crossing_time(self%gate)), due)
-    ends = min(limit, due + self%lookahead, max(due, began) + self%window)
-    call open_buckets_until(self%calendar, self%flight, ends)
-    due_now = count_due_before(self%calendar%sorted, self%calendar%due_time, ends)
-    done = due_now
+    window_end = min(limit, due + self%lookahead, max(due, window_start) + self%window)
+    call open_buckets_until(self%calendar, self%flight, window_end)
+    due_count = count_due_before(self%calendar%sorted, self%calendar%due_time, window_end)
+    event_count = due_count
     self%resumed_count = 0
-    if (self%partial_count > 0 .or. self%scattered) call split_off_partial_visits(self%number, &
-      self%flight, self%calendar%due_time, self%calendar%particle, done, self%resumed_count, &
-      self%resumed_time, self%resumed)
+    if (self%partial_count > 0 .or. self%has_scatterers) call split_off_partial_visits( &
+      self%number, self%flight, self%calendar%due_time, self%calendar%particle, event_count, &
+      self%resumed_count,       self%resumed_time, self%resumed)
     counted = number_inside(self%gate)
-    call reserve_visits(self%visits(1), done + sum(counted) + most_lookahead_visits)
-    call reserve_event_record(event_record, done + sum(counted), 0)
-    if (done <= longest_serial_window) then
-      call run_serial_window(self%gate, self%table%beyond, self%flight, self%calendar, done, &
-        began, ends, self%visits(1), event_record, self%computed_hits)
+    call reserve_visits(self%visits(1), event_count + sum(counted) + most_precomputed_visits)
+    call reserve_event_record(event_record, event_count + sum(counted), 0)
+    if (event_count <= longest_serial_window) then
+      call run_serial_window(self%gate, self%table%urn_across, self%flight, self%calendar, &
+        event_count, window_start, window_end, self%visits(1), event_record, self%computed_hits)
     else
-      call run_batch_window(self%batch_window, self%gate, self%table%beyond, self%number, &
-        self%flight, self%calendar, done, began, ends, self%visits(1), event_record, &
-        self%computed_hits)
+      call run_batch_window(self%batch_window, self%gate, self%table%urn_across, self%number, &
+        self%flight, self%calendar, event_count, window_start, window_end, self%visits(1), &
+        event_record, self%computed_hits)
     end if
-    call drop_done_events(self%calendar, due_now)
-    if (self%scattered) then
-      call compute_window_visits_scattered(self, began, ends, event_record)
+    call drop_done_events(self%calendar, due_count)
+    if (self%has_scatterers) then
+      call compute_window_visits_with_scatterers(self, window_start, window_end, event_record)
     else
       if (self%resumed_count > 0) call continue_partial_visits(self)
       call compute_window_visits_straight(self)
     end if
-    self%now = ends
-    event_record%duration = ends - began
+    self%now = window_end
+    event_record%duration = window_end - window_start
     event_record%collisions = self%computed_hits - self%reported_hits
     self%reported_hits = self%computed_hits
   end subroutine advance_window
@@ -306,12 +311,12 @@ contains
     if (self%batches == 2) call split_visits_by_urn(self%visits(1), self%visits(2))
     do b = 1, self%batches
       associate (v => self%visits(b))
-        if (self%looks_ahead) then
-          call compute_with_lookahead(self%table%urn(1), self%number, self%flight, &
-            self%calendar%sorted, self%calendar%particle, v, self%ahead, self%computed_hits)
+        if (self%precomputes_visits) then
+          call take_or_compute_visits(self%table%urn(1), self%number, self%flight, &
+            self%calendar%sorted, self%calendar%particle, v, self%precomputed, self%computed_hits)
         else
-          call load_flights(self%number, self%flight, v%count, v%particle, v%turned, v%passage, &
-            v%time, v%y, v%u_axial, v%u_lateral)
+          call load_flights(self%number, self%flight, v%count, v%particle, v%reversal_time, &
+            v%passage, v%time, v%y, v%u_axial, v%u_lateral)
           call cross_channels(self%table%urn(b), v)
           call compute_urn_visits(self, b)
         end if
@@ -342,8 +347,8 @@ contains
     class(excursion_type), intent(inout) :: self
 
     call rebase_calendar(self%calendar, self%flight)
-    if (self%looks_ahead) self%flight%lookahead_slot = 0
-    if (self%scattered) self%scatterer_visits%visit_start%time = &
+    if (self%precomputes_visits) self%flight%precomputed_slot = 0
+    if (self%has_scatterers) self%scatterer_visits%visit_start%time = &
       self%scatterer_visits%visit_start%time - self%epoch
     self%flight%time = self%flight%time - self%epoch
     call rebase_long_visits(self%long_visits, self%epoch)
@@ -369,9 +374,9 @@ contains
     integer(int64), intent(out) :: hits
 
     associate (flight => self%flight(i), urn => self%table%urn(self%flight(i)%urn))
-      if (flight%next_event == parked_in_channel) then
-        call locate_parked_particle(urn, flight, self%parked_x(i), self%now, state, hits)
-      else if (self%scattered .and. flight%next_event /= counted_in_gate &
+      if (flight%next_event == trapped_in_channel) then
+        call locate_trapped_particle(urn, flight, self%trapped_x(i), self%now, state, hits)
+      else if (self%has_scatterers .and. flight%next_event /= counted_in_gate &
         .and. (flight%next_event /= to_gate .or. self%now < flight%time)) then
         call locate_by_replay(self%table, self%scatterer_visits%visit_start(i), self%now, state, &
           hits)
@@ -403,7 +408,8 @@ contains
     end do
   end function collisions
 
-  !> Particles that are parked, or that repeat a path among discs for ever.
+  !> Number of particles that never leave their urn or channel, those that repeat a path among discs
+  !> included.
   function trapped(self) result(total)
     class(excursion_type), intent(in) :: self
     integer(int64) :: total
@@ -412,13 +418,13 @@ contains
     logical :: yes
     integer :: i
 
-    total = count(self%flight%next_event == parked_in_urn .or. self%flight%next_event == &
-      parked_in_channel)
-    if (.not. self%scattered) return
+    total = count(self%flight%next_event == trapped_in_urn .or. self%flight%next_event == &
+      trapped_in_channel)
+    if (.not. self%has_scatterers) return
     do i = 1, self%number
       if (self%flight(i)%next_event /= partial_visit) cycle
       call locate_particle_now(self, i, state, hits)
-      if (chamber_at(self%table, state(1), state(2), huge(1.0_wp)) /= in_return) cycle
+      if (chamber_at(self%table, state(1), state(2), huge(1.0_wp)) /= in_channel2) cycle
       associate (urn => self%table%urn(self%flight(i)%urn))
         call detect_periodic_path(self%table%half_channel2(self%flight(i)%urn), urn%periodic_line &
           + urn%axis_sign*state(1), state(2), urn%axis_sign*state(3), state(4), yes)
@@ -427,15 +433,15 @@ contains
     end do
   end function trapped
 
-  !> Serialises flights and counts; the calendar follows from the flights.
+  !> Saves or restores flights and counts; the calendar follows from the flights.
   subroutine serialize_own_state(self, archive)
     class(excursion_type), intent(inout) :: self
     type(archive_type), intent(inout) :: archive
     integer :: i
 
-    ! In a saved state, x of a particle parked in a channel is stored in place of `u_axial`.
-    if (allocated(self%parked_x) .and. .not. archive%reading) then
-      where (self%flight%next_event == parked_in_channel) self%flight%u_axial = self%parked_x
+    ! In a saved state, x of a particle trapped in a channel is stored in place of `u_axial`.
+    if (allocated(self%trapped_x) .and. .not. archive%reading) then
+      where (self%flight%next_event == trapped_in_channel) self%flight%u_axial = self%trapped_x
     end if
     ! Names in saved states are a format: they stay when a component is renamed.
     call archive%serialize('known_hits', self%computed_hits)
@@ -445,20 +451,21 @@ contains
     call archive%serialize('due', self%flight%due, 'time', self%flight%time, 'y', self%flight%y)
     call archive%serialize('along', self%flight%u_axial, 'across', self%flight%u_lateral, &
       'length', self%flight%length, 'through', self%flight%through)
-    if (any(self%flight%next_event == parked_in_channel)) then
-      self%parked_x = self%flight%u_axial
-      where (self%flight%next_event == parked_in_channel) self%flight%u_axial = 0.0_wp
+    if (any(self%flight%next_event == trapped_in_channel)) then
+      self%trapped_x = self%flight%u_axial
+      where (self%flight%next_event == trapped_in_channel) self%flight%u_axial = 0.0_wp
     end if
-    if (self%scattered) then
+    if (self%has_scatterers) then
       call serialize_visit_starts(self%scatterer_visits, self%flight%urn, archive)
     else
       call serialize_long_visits(self%long_visits, self%flight, archive)
     end if
     if (.not. archive%reading .or. archive%failed()) return
-    self%partial_count = merge(0, count(self%flight%next_event == partial_visit), self%scattered)
+    self%partial_count = merge(0, count(self%flight%next_event == partial_visit), &
+      self%has_scatterers)
     call new_calendar(self%calendar, self%number, self%interval)
     do i = 1, self%number
-      if (any(self%flight(i)%next_event == [to_gate, to_return, partial_visit])) &
+      if (any(self%flight(i)%next_event == [to_gate, to_periodic_line, partial_visit])) &
         call schedule_event(self%calendar, self%flight, i, self%flight(i)%due)
     end do
   end subroutine serialize_own_state

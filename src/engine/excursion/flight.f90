@@ -5,33 +5,35 @@
 !> into a batch of visits and stored at their ends (`load_flights`, `store_flights`: kernels over
 !> flat arrays, a flight being one cache line), and yields the position at any time between
 !> (`locate_particle`). Earlier positions are computed backwards from it; for long visits the start
-!> is stored as well (`battery_long_visits`).
+!> is stored as well (`battery_long_visits`). `flight_type` is declared in `battery_calendar`, which
+!> links the flights of a bucket.
 module battery_flight
   use, intrinsic :: iso_c_binding, only: c_loc, c_size_t
   use battery_kinds, only: wp, int16, int64
   use battery_calendar, only: flight_type, idle_flight
   use battery_channel, only: fold_into_channel, facing
   use battery_memory, only: prefer_large_pages
-  use battery_table, only: table_type, passage_type, passage_at, gated, ungated, no_channel
+  use battery_table, only: table_type, passage_type, passage_at, channel1, channel2, no_channel
   use battery_urn, only: urn_type, locate_in_visit, find_first_impact
   use battery_visits, only: visits_type, truncated
   implicit none (type, external)
   private
   public :: new_flights, make_initial_flight, date_back_flight, load_flights, store_flights, &
-    locate_particle, locate_parked_particle, trace_back_into_channel, middle_time, never
-  public :: to_gate, to_return, counted_in_gate, parked_in_urn, parked_in_channel, partial_visit
+    locate_particle, locate_trapped_particle, trace_back_into_channel, middle_time, never
+  public :: to_gate, to_periodic_line, counted_in_gate, trapped_in_urn, trapped_in_channel, &
+    partial_visit
 
   !> Next events of a flight (`next_event`):
-  !> - `to_gate`, `to_return`: the next event is the entry into a gate, or the crossing of the
-  !>   periodic line.
+  !> - `to_gate`, `to_periodic_line`: the next event is the entry into a gate, or the crossing of
+  !>   the periodic line.
   !> - `counted_in_gate`: inside a gate, counted by it.
-  !> - `parked_in_urn`: never leaves; the flight holds one impact, as `visits_type` describes it.
-  !> - `parked_in_channel`: never leaves; time, y and u_y hold, x is stored elsewhere.
-  !> - `partial_visit`: as `parked_in_urn`, until the next part of the visit is computed.
-  integer(int16), parameter :: to_gate = 1, to_return = 2, counted_in_gate = 3, parked_in_urn = 4, &
-    parked_in_channel = 5, partial_visit = 6
+  !> - `trapped_in_urn`: never leaves; the flight holds one impact, as `visits_type` describes it.
+  !> - `trapped_in_channel`: never leaves; time, y and u_y hold, x is stored elsewhere.
+  !> - `partial_visit`: as `trapped_in_urn`, until the next part of the visit is computed.
+  integer(int16), parameter :: to_gate = 1, to_periodic_line = 2, counted_in_gate = 3, &
+    trapped_in_urn = 4, trapped_in_channel = 5, partial_visit = 6
 
-  !> Time of reversal of a particle that no gate turns back.
+  !> Time of reversal of a particle that no gate reverses.
   real(wp), parameter :: never = 0.25_wp*huge(1.0_wp)
 
 contains
@@ -50,10 +52,10 @@ contains
 
   !> Loads particle `i` at (x, y) with velocity (ux, uy) in the frame of the table. Each call loads
   !> either particles in channels or particles in urns, and ignores the others. If the particle is
-  !> in a channel and heads for the far end, its flight is dated back to the entrance of the
-  !> channel, and `hits` is reduced by the wall hits between the entrance and the initial position:
-  !> they will be counted with the passage. If it is in an urn, or on its way back to one, a visit
-  !> is added.
+  !> in a channel and heads for the far end, its flight starts, in the past, at the entrance of
+  !> the channel, and `hits` is reduced by the wall hits between the entrance and the initial
+  !> position: they will be counted with the passage. If it is in an urn, or on its way back to one,
+  !> a visit is added.
   subroutine make_initial_flight(table, i, x, y, ux, uy, from_channels, flight, visits, hits)
     type(table_type), intent(in) :: table
     integer, intent(in) :: i
@@ -70,13 +72,13 @@ contains
     passage = passage_at(table, x, y, ux, uy)
     if (from_channels .eqv. passage%channel == no_channel) return
     if (from_channels) flight%urn = int(passage%urn, int16)
-    if (passage%endless) then
-      flight%next_event = parked_in_channel
+    if (passage%trapped) then
+      flight%next_event = trapped_in_channel
       flight%y = y
       flight%u_axial = abs(ux)
       flight%u_lateral = uy
     else if (passage%moves_away) then
-      flight%next_event = merge(counted_in_gate, to_return, passage%channel == gated)
+      flight%next_event = merge(counted_in_gate, to_periodic_line, passage%channel == channel1)
       flight%time = passage%time
       flight%y = passage%height
       flight%u_axial = abs(ux)
@@ -88,7 +90,7 @@ contains
         visits%particle(at) = i
         visits%urn(at) = passage%urn
         visits%time(at) = 0.0_wp
-        visits%turned(at) = never
+        visits%reversal_time(at) = never
         visits%y(at) = y
         visits%u_lateral(at) = uy
         ! In an urn: in the frame of the urn. In a channel: as `cross_channels` expects it.
@@ -124,7 +126,7 @@ contains
       flight%next_event = partial_visit
       hits = hits - real(before, wp)
     else
-      flight%next_event = merge(counted_in_gate, to_return, passage%channel == gated)
+      flight%next_event = merge(counted_in_gate, to_periodic_line, passage%channel == channel1)
       flight%time = 0.0_wp
       flight%y = y
       flight%u_axial = abs(ux)
@@ -144,15 +146,15 @@ contains
   end function middle_time
 
   !> Copies entry times, heights and velocities from the flights of the particles of a batch.
-  pure subroutine load_flights(number, flight, n, particle, turned, passage, time, y, u_axial, &
-    u_lateral)
+  pure subroutine load_flights(number, flight, n, particle, reversal_time, passage, time, y, &
+    u_axial, u_lateral)
     !> Number of particles; size of the batch.
     integer, intent(in) :: number, n
     type(flight_type), intent(in) :: flight(number)
     !> Particle of each visit.
     integer, intent(in) :: particle(n)
-    !> Time at which a gate turned the particle back, or `never`.
-    real(wp), intent(in) :: turned(n)
+    !> Time at which a gate reversed the particle, or `never`.
+    real(wp), intent(in) :: reversal_time(n)
     !> Time spent in the channel; time, height and velocity at its entrance.
     real(wp), intent(out) :: passage(n), time(n), y(n), u_axial(n), u_lateral(n)
     integer :: j, i
@@ -163,7 +165,8 @@ contains
       y(j) = flight(i)%y
       u_axial(j) = flight(i)%u_axial
       u_lateral(j) = flight(i)%u_lateral
-      passage(j) = merge(2.0_wp*(turned(j) - time(j)), flight(i)%through, turned(j) < never)
+      passage(j) = merge(2.0_wp*(reversal_time(j) - time(j)), flight(i)%through, &
+        reversal_time(j) < never)
     end do
   end subroutine load_flights
 
@@ -177,10 +180,10 @@ contains
     integer, intent(in) :: particle(n), urn(n)
     !> Channel that the particle goes to, or `no_channel`.
     integer(int64), intent(in) :: channel(n)
-    !> Length of the visit; height, |u_x| and u_y at its end; time in the next channel, from end to
-    !> end. For `no_channel` as in `visits_type`.
+    !> Length of the passage through the urn; height, |u_x| and u_y at its end; time in the next
+    !> channel, from end to end. For `no_channel` as in `visits_type`.
     real(wp), intent(in) :: length(n), y(n), u_axial(n), u_lateral(n), through(n)
-    !> In: start of the visit. Out: next event; huge if there is none.
+    !> In: entry into the urn. Out: next event; huge if there is none.
     real(wp), intent(inout) :: time(n)
     integer :: j, i
     real(wp) :: leaves
@@ -197,9 +200,9 @@ contains
       flight(i)%urn = int(urn(j), int16)
       flight(i)%next_event = to_gate
       time(j) = leaves
-      if (channel(j) /= gated) then
-        flight(i)%next_event = merge(to_return, parked_in_urn, channel(j) == ungated)
-        time(j) = merge(leaves + 0.5_wp*through(j), huge(1.0_wp), channel(j) == ungated)
+      if (channel(j) /= channel1) then
+        flight(i)%next_event = merge(to_periodic_line, trapped_in_urn, channel(j) == channel2)
+        time(j) = merge(leaves + 0.5_wp*through(j), huge(1.0_wp), channel(j) == channel2)
         if (channel(j) == truncated) then
           ! Due before the end of the part, so that the next event is at least the lookahead later.
           flight(i)%next_event = partial_visit
@@ -210,7 +213,7 @@ contains
     end do
   end subroutine store_flights
 
-  !> Position and velocity at the time `now` of a particle that is not parked, in the frame of its
+  !> Position and velocity at the time `now` of a particle that is not trapped, in the frame of its
   !> urn, traced backwards from the end of its visit; and the `hits` to be added to `computed_hits`
   !> for it (negative: hits that are computed but still to come).
   pure subroutine locate_particle(urn, flight, now, position, velocity, hits)
@@ -226,7 +229,7 @@ contains
     integer :: channel
 
     elapsed = now - flight%time
-    channel = merge(ungated, gated, flight%next_event == to_return)
+    channel = merge(channel2, channel1, flight%next_event == to_periodic_line)
     if (flight%next_event == partial_visit) channel = no_channel
     if (channel /= no_channel .and. elapsed >= 0.0_wp) then
       call fold_into_channel(flight%y + flight%u_lateral*elapsed, urn%width(channel), position(2), &
@@ -256,7 +259,7 @@ contains
     integer :: from
 
     if (before <= 0.0_wp) return
-    from = merge(gated, ungated, position(1) > 0.0_wp)
+    from = merge(channel1, channel2, position(1) > 0.0_wp)
     call fold_into_channel(position(2) - velocity(2)*before, urn%width(from), height, reflected, &
       passed)
     ! However slow the particle is, it stays in this urn's half of the channel.
@@ -267,24 +270,24 @@ contains
     hits = hits - int(passed, int64)
   end subroutine trace_back_into_channel
 
-  !> Position and velocity of a particle that is parked in a channel, in the frame of the table.
-  pure subroutine locate_parked_particle(urn, flight, x, now, state, hits)
+  !> Position and velocity of a particle that is trapped in a channel, in the frame of the table.
+  pure subroutine locate_trapped_particle(urn, flight, x, now, state, hits)
     type(urn_type), intent(in) :: urn
     type(flight_type), intent(in) :: flight
     !> Its x, which never changes; the time, on the clock of the flight.
     real(wp), intent(in) :: x, now
     !> x, y, u_x, u_y.
     real(wp), intent(out) :: state(4)
-    !> Wall hits since it was parked.
+    !> Wall hits since it was loaded.
     integer(int64), intent(out) :: hits
     real(wp) :: height, reflected, passed
     integer :: channel
 
-    channel = merge(gated, ungated, abs(x) <= 0.5_wp*urn%length(gated))
+    channel = merge(channel1, channel2, abs(x) <= 0.5_wp*urn%length(channel1))
     call fold_into_channel(flight%y + flight%u_lateral*(now - flight%time), urn%width(channel), &
       height, reflected, passed)
     state = [x, height, 0.0_wp, reflected*flight%u_lateral]
     hits = int(passed, int64)
-  end subroutine locate_parked_particle
+  end subroutine locate_trapped_particle
 
 end module battery_flight

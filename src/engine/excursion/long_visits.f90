@@ -5,14 +5,14 @@
 !> never ends, or is truncated; while a particle is nearer to the start of its visit than to its
 !> end, it is located forwards from the start.
 !>
-!> An entry is a copy of the previous flight: a few words are copied, nothing is computed. It is
+!> A start is a copy of the previous flight: a few words are copied, nothing is computed. It is
 !> valid as long as the flight of its particle belongs to a long visit; invalid ones are dropped
 !> when the store is full.
 module battery_long_visits
   use battery_kinds, only: wp, int16, int32, int64
   use battery_calendar, only: flight_type
-  use battery_channel, only: fold_into_channel, gated, ungated, facing, no_channel
-  use battery_flight, only: never, to_gate, to_return, parked_in_urn, partial_visit, &
+  use battery_channel, only: fold_into_channel, channel1, channel2, facing, no_channel
+  use battery_flight, only: never, to_gate, to_periodic_line, trapped_in_urn, partial_visit, &
     trace_back_into_channel
   use battery_archive, only: archive_type
   use battery_urn, only: urn_type, locate_in_visit, locate_after
@@ -22,33 +22,34 @@ module battery_long_visits
   public :: long_visits_type, new_long_visits, is_long_visit, store_visit_starts, &
     is_nearer_start, locate_from_start, rebase_long_visits, serialize_long_visits
 
-  !> A visit is long from this many times the reach of its urn on: tracing back through half of a
+  !> A visit is long if its passage through the urn is longer than this many times the reach of the
+  !> urn: tracing back through half of a
   !> shorter one loses no more than some 1e-13. A visit with fewer than `many_hits` = 112 hits is
   !> never long: it is at most 112 straight pieces, each of at most twice the reach.
   real(wp), parameter :: long = 256.0_wp
 
   !> The start of a visit, in one cache line.
-  type :: entry_type
-    !> As in the previous flight. `next_event` `counted_in_gate` or `to_return`: the particle's
-    !> entry into the channel before the urn. `partial_visit`: an impact in the urn, described as
-    !> `visits_type` describes one of a particle that never leaves.
+  type :: visit_start_type
+    !> As in the previous flight. `next_event` `counted_in_gate` or `to_periodic_line`: the
+    !> particle's entry into the channel before the urn. `partial_visit`: an impact in the urn,
+    !> described as `visits_type` describes one of a particle that never leaves.
     real(wp) :: time = 0.0_wp, y = 0.0_wp, u_axial = 0.0_wp, u_lateral = 0.0_wp, through = 0.0_wp
-    !> Time at which a gate turned the particle back in the channel, or `never`.
-    real(wp) :: turned = never
+    !> Time at which a gate reversed the particle in the channel, or `never`.
+    real(wp) :: reversal_time = never
     !> Wall hits in the channel and in the urn; for an impact in the urn: wall hits since then.
     real(wp) :: hits = 0.0_wp
     integer(int32) :: particle = 0
     integer(int16) :: next_event = 0
-  end type entry_type
+  end type visit_start_type
 
-  !> The entries, and the index from particles to entries.
+  !> The starts, and the index from particles to starts.
   type :: long_visits_type
     !> Visits longer than this are long.
     real(wp) :: least = huge(1.0_wp)
-    !> Number of particles, number of entries, size of the store.
+    !> Number of particles, number of starts, size of the store.
     integer, private :: number = 0, count = 0, capacity = 0
-    type(entry_type), allocatable, private :: entry(:)
-    !> Entry of each particle, or 0; not allocated before there is an entry.
+    type(visit_start_type), allocatable, private :: visit_start(:)
+    !> Index of the start of each particle's visit, or 0; not allocated before there is a start.
     integer(int32), allocatable, private :: place(:)
   end type long_visits_type
 
@@ -65,7 +66,7 @@ contains
 
     visits%number = number
     visits%least = long*reach
-    allocate (visits%entry(0))
+    allocate (visits%visit_start(0))
   end subroutine new_long_visits
 
   !> Whether a visit is long, from what `compute_visits` yields.
@@ -74,11 +75,11 @@ contains
     real(wp), intent(in) :: least
     !> Channel that the particle goes to, `no_channel` or `truncated`.
     integer(int64), intent(in) :: channel
-    !> Length of the visit.
+    !> Length of the passage through the urn.
     real(wp), intent(in) :: length
     logical :: yes
 
-    yes = length > least .or. channel < gated
+    yes = length > least .or. channel < channel1
   end function is_long_visit
 
   !> Whether the visit before this flight is long.
@@ -88,9 +89,9 @@ contains
     logical :: yes
 
     select case (flight%next_event)
-    case (parked_in_urn, partial_visit)
+    case (trapped_in_urn, partial_visit)
       yes = .true.
-    case (to_gate, to_return)
+    case (to_gate, to_periodic_line)
       yes = flight%length > visits%least
     case default
       yes = .false.
@@ -105,32 +106,32 @@ contains
     integer, intent(in) :: number
     !> Flights before those of the batch are stored.
     type(flight_type), intent(in) :: flight(number)
-    !> Visits of the batch, computed; `turned` is the time at which a gate turned a particle back
-    !> before, or `never`.
+    !> Visits of the batch, computed; `reversal_time` is the time at which a gate turned a particle
+    !> back before, or `never`.
     type(visits_type), intent(in) :: batch
     integer :: i, j, k
 
-    do k = 1, batch%many_count
-      j = batch%many(k)
+    do k = 1, batch%many_hits_count
+      j = batch%many_hits_index(k)
       if (.not. is_long_visit(visits%least, batch%channel(j), batch%length(j))) cycle
       ! Allocates for the whole batch, before its first start is stored: a start that has just been
       ! stored still belongs to an old flight, so a later call would drop it as finished.
-      if (visits%count + batch%many_count - k >= visits%capacity) call grow_entries(visits, &
-        flight, batch%many_count - k + 1)
+      if (visits%count + batch%many_hits_count - k >= visits%capacity) &
+        call grow_visit_starts(visits, flight, batch%many_hits_count - k + 1)
       i = batch%particle(j)
-      call store_visit_start(visits, i, flight(i), batch%turned(j), batch%hits(j))
+      call store_visit_start(visits, i, flight(i), batch%reversal_time(j), batch%hits(j))
     end do
   end subroutine store_visit_starts
 
   !> Stores the start of a long visit before its flight is overwritten; the store is not full.
-  pure subroutine store_visit_start(visits, particle, flight, turned, hits)
+  pure subroutine store_visit_start(visits, particle, flight, reversal_time, hits)
     type(long_visits_type), intent(inout) :: visits
     !> Its particle.
     integer, intent(in) :: particle
     !> The previous flight.
     type(flight_type), intent(in) :: flight
-    !> Time at which a gate turned the particle back, or `never`; wall hits in channel and urn.
-    real(wp), intent(in) :: turned, hits
+    !> Time at which a gate reversed the particle, or `never`; wall hits in channel and urn.
+    real(wp), intent(in) :: reversal_time, hits
     integer :: at
 
     at = visits%place(particle)
@@ -138,58 +139,58 @@ contains
       at = visits%count + 1
       visits%count = at
       visits%place(particle) = int(at, int32)
-      visits%entry(at)%particle = int(particle, int32)
+      visits%visit_start(at)%particle = int(particle, int32)
     end if
-    associate (entry => visits%entry(at))
-      entry%time = flight%time
-      entry%y = flight%y
-      entry%u_axial = flight%u_axial
-      entry%u_lateral = flight%u_lateral
-      entry%through = flight%through
-      entry%turned = turned
-      entry%hits = hits
-      entry%next_event = flight%next_event
+    associate (visit_start => visits%visit_start(at))
+      visit_start%time = flight%time
+      visit_start%y = flight%y
+      visit_start%u_axial = flight%u_axial
+      visit_start%u_lateral = flight%u_lateral
+      visit_start%through = flight%through
+      visit_start%reversal_time = reversal_time
+      visit_start%hits = hits
+      visit_start%next_event = flight%next_event
     end associate
   end subroutine store_visit_start
 
-  !> Drops invalid entries; enlarges the store if it is still half full.
-  pure subroutine grow_entries(visits, flight, more)
+  !> Drops invalid starts; enlarges the store if it is still half full.
+  pure subroutine grow_visit_starts(visits, flight, more)
     type(long_visits_type), intent(inout) :: visits
     type(flight_type), intent(in) :: flight(:)
-    !> Number of entries to be added.
+    !> Number of starts to be added.
     integer, intent(in) :: more
-    type(entry_type), allocatable :: entry(:)
+    type(visit_start_type), allocatable :: visit_start(:)
 
-    call drop_finished_entries(visits, flight)
-    if (2*(visits%count + more) <= size(visits%entry)) return
-    ! No particle has two entries.
-    allocate (entry(min(max(64, 2*(visits%count + more)), visits%number + more)))
-    entry(:visits%count) = visits%entry(:visits%count)
-    call move_alloc(entry, visits%entry)
-    visits%capacity = size(visits%entry)
+    call drop_finished_starts(visits, flight)
+    if (2*(visits%count + more) <= size(visits%visit_start)) return
+    ! No particle has two starts.
+    allocate (visit_start(min(max(64, 2*(visits%count + more)), visits%number + more)))
+    visit_start(:visits%count) = visits%visit_start(:visits%count)
+    call move_alloc(visit_start, visits%visit_start)
+    visits%capacity = size(visits%visit_start)
     if (.not. allocated(visits%place)) allocate (visits%place(visits%number), source=0_int32)
-  end subroutine grow_entries
+  end subroutine grow_visit_starts
 
-  !> Drops the entries of visits that are over.
-  pure subroutine drop_finished_entries(visits, flight)
+  !> Drops the starts of visits that are over.
+  pure subroutine drop_finished_starts(visits, flight)
     type(long_visits_type), intent(inout) :: visits
     type(flight_type), intent(in) :: flight(:)
     integer :: at, kept, i
 
     kept = 0
     do at = 1, visits%count
-      i = visits%entry(at)%particle
+      i = visits%visit_start(at)%particle
       visits%place(i) = 0
       if (.not. has_long_visit(visits, flight(i))) cycle
       kept = kept + 1
-      visits%entry(kept) = visits%entry(at)
+      visits%visit_start(kept) = visits%visit_start(at)
       visits%place(i) = int(kept, int32)
     end do
     visits%count = kept
-  end subroutine drop_finished_entries
+  end subroutine drop_finished_starts
 
-  !> Whether a particle is to be located forwards: it has an entry, and the start of its visit is
-  !> nearer than the end.
+  !> Whether a particle is to be located forwards: the start of its visit is stored, and is nearer
+  !> than the end.
   pure function is_nearer_start(visits, flight, now) result(yes)
     !> The store.
     type(long_visits_type), intent(in) :: visits
@@ -199,7 +200,8 @@ contains
     logical :: yes
 
     yes = has_long_visit(visits, flight)
-    if (yes .and. flight%next_event /= parked_in_urn) yes = flight%time - now > 0.5_wp*flight%length
+    if (yes .and. flight%next_event /= trapped_in_urn) &
+      yes = flight%time - now > 0.5_wp*flight%length
   end function is_nearer_start
 
   !> Position and velocity of a particle at the time `now`, forwards from the start of its visit;
@@ -219,19 +221,20 @@ contains
     real(wp) :: passage, reflected, passed, begins, x, y, ux, uy
     integer :: from
 
-    associate (entry => visits%entry(visits%place(particle)))
-      if (entry%next_event == partial_visit) then
-        call locate_in_visit(urn, no_channel, entry%y, entry%u_axial, entry%u_lateral, now &
-          - entry%time, position, velocity, hits)
+    associate (visit_start => visits%visit_start(visits%place(particle)))
+      if (visit_start%next_event == partial_visit) then
+        call locate_in_visit(urn, no_channel, visit_start%y, visit_start%u_axial, &
+          visit_start%u_lateral, now - visit_start%time, position, velocity, hits)
       else
-        from = merge(ungated, gated, entry%next_event == to_return)
-        passage = merge(2.0_wp*(entry%turned - entry%time), entry%through, entry%turned < never)
-        begins = entry%time + passage
+        from = merge(channel2, channel1, visit_start%next_event == to_periodic_line)
+        passage = merge(2.0_wp*(visit_start%reversal_time - visit_start%time), &
+          visit_start%through, visit_start%reversal_time < never)
+        begins = visit_start%time + passage
         x = facing(from)*urn%chord(from)
-        call fold_into_channel(entry%y + entry%u_lateral*passage, urn%width(from), y, reflected, &
-          passed)
-        ux = -facing(from)*entry%u_axial
-        uy = reflected*entry%u_lateral
+        call fold_into_channel(visit_start%y + visit_start%u_lateral*passage, urn%width(from), y, &
+          reflected, passed)
+        ux = -facing(from)*visit_start%u_axial
+        uy = reflected*visit_start%u_lateral
         if (now < begins) then
           position = [x, y]
           velocity = [ux, uy]
@@ -242,7 +245,7 @@ contains
         end if
         hits = hits + int(passed, int64)
       end if
-      hits = hits - int(entry%hits, int64)
+      hits = hits - int(visit_start%hits, int64)
     end associate
   end subroutine locate_from_start
 
@@ -253,37 +256,39 @@ contains
     !> Its length.
     real(wp), intent(in) :: epoch
 
-    associate (entry => visits%entry(:visits%count))
-      entry%time = entry%time - epoch
-      entry%turned = entry%turned - epoch
+    associate (visit_start => visits%visit_start(:visits%count))
+      visit_start%time = visit_start%time - epoch
+      visit_start%reversal_time = visit_start%reversal_time - epoch
     end associate
   end subroutine rebase_long_visits
 
-  !> Serialises the valid entries.
+  !> Saves or restores the valid starts.
   pure subroutine serialize_long_visits(visits, flight, archive)
-    !> The store; invalid entries are dropped.
+    !> The store; invalid starts are dropped.
     type(long_visits_type), intent(inout) :: visits
     type(flight_type), intent(in) :: flight(:)
     type(archive_type), intent(inout) :: archive
     integer(int32), allocatable :: particle(:)
     integer :: at
 
-    if (.not. archive%reading) call drop_finished_entries(visits, flight)
-    particle = visits%entry(:visits%count)%particle
+    if (.not. archive%reading) call drop_finished_starts(visits, flight)
+    particle = visits%visit_start(:visits%count)%particle
     call archive%serialize_list('long_visits', particle)
     if (archive%failed()) return
     if (archive%reading) then
       visits%count = size(particle)
       visits%capacity = size(particle)
-      visits%entry = [(entry_type(particle=particle(at)), at=1, size(particle))]
+      visits%visit_start = [(visit_start_type(particle=particle(at)), at=1, size(particle))]
       allocate (visits%place(visits%number), source=0_int32)
       visits%place(particle) = [(int(at, int32), at=1, size(particle))]
     end if
-    associate (entry => visits%entry(:visits%count))
-      call archive%serialize('long_heading', entry%next_event)
-      call archive%serialize('long_time', entry%time, 'long_y', entry%y, 'long_along', &
-        entry%u_axial, 'long_across', entry%u_lateral, 'long_through', entry%through)
-      call archive%serialize('long_turned', entry%turned, 'long_hits', entry%hits)
+    associate (visit_start => visits%visit_start(:visits%count))
+      call archive%serialize('long_heading', visit_start%next_event)
+      call archive%serialize('long_time', visit_start%time, 'long_y', visit_start%y, 'long_along', &
+        visit_start%u_axial, 'long_across', visit_start%u_lateral, 'long_through', &
+        visit_start%through)
+      call archive%serialize('long_turned', visit_start%reversal_time, 'long_hits', &
+        visit_start%hits)
     end associate
   end subroutine serialize_long_visits
 

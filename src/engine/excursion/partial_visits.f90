@@ -17,7 +17,8 @@ module battery_partial_visits
 
 contains
 
-  !> Removes the events of partial visits from those that are due.
+  !> Removes the events at which the next part of a truncated visit is computed from those that are
+  !> due.
   subroutine split_off_partial_visits(number, flight, due_time, particle, events, resumed_count, &
     resumed_time, resumed)
     !> Number of particles.
@@ -81,7 +82,7 @@ contains
         visits%u_axial(j) = velocity(1)
         visits%u_lateral(j) = velocity(2)
         visits%hits(j) = 0.0_wp
-        visits%turned(j) = never
+        visits%reversal_time(j) = never
         rest(j) = flown%time - resumed_time(k)
       end associate
     end do
@@ -90,8 +91,8 @@ contains
       call compute_visits(urn, v)
       computed_hits = computed_hits + v%all_hits
       v%length(:n) = v%length(:n) + rest(:n)
-      v%many_count = n
-      v%many(:n) = [(k, k=1, n)]
+      v%many_hits_count = n
+      v%many_hits_index(:n) = [(k, k=1, n)]
       call store_visit_starts(long_visits, number, flight, v)
       call store_flights(number, flight, n, v%particle, v%urn, v%channel, v%time, v%length, v%y, &
         v%u_axial, v%u_lateral, v%through)

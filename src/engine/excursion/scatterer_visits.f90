@@ -1,7 +1,7 @@
 !> Visits of the engine `excursion` on tables with discs in channel 2.
 !>
 !> There a particle may come back to its own urn, or cross the periodic line to and fro. So an urn
-!> and its half of channel 2 are one chamber with two openings: the gate and the periodic line. A
+!> and its half of channel 2 are one region with two openings: the gate and the periodic line. A
 !> visit starts at one of the openings, or at the initial position of a particle, and alternates
 !> between the urn and its half of channel 2 until it ends at an opening. A flight to channel 2 ends
 !> at the periodic line: its `through` is 0. A visit with too many hits is truncated in the channel
@@ -13,10 +13,10 @@
 module battery_scatterer_visits
   use battery_kinds, only: wp, int8, int16, int32, int64
   use battery_calendar, only: flight_type
-  use battery_channel, only: fold_into_channel, gated, ungated
-  use battery_flight, only: to_gate, to_return, parked_in_urn, partial_visit
-  use battery_motion, only: motion_type, meets_line, meets_urn, meets_nothing, in_urn, in_return
-  use battery_half_channel_visits, only: compute_half_channel_visits
+  use battery_channel, only: fold_into_channel, channel1, channel2
+  use battery_flight, only: to_gate, to_periodic_line, trapped_in_urn, partial_visit
+  use battery_motion, only: motion_type, meets_line, meets_urn, meets_nothing, in_urn, in_channel2
+  use battery_half_channel_passages, only: compute_half_channel_passages
   use battery_archive, only: archive_type
   use battery_table, only: table_type
   use battery_urn, only: are_mirror_images, compute_visits, locate_in_visit, locate_after
@@ -69,7 +69,7 @@ contains
   elemental function visit_start_at(time, urn, chamber, x, y, ux, uy) result(visit_start)
     !> On the clock of the epoch.
     real(wp), intent(in) :: time
-    !> Index of the urn; `in_urn` or `in_return`.
+    !> Index of the urn; `in_urn` or `in_channel2`.
     integer, intent(in) :: urn, chamber
     !> Position and velocity in the frame of that chamber: lengths, and a vector of length 1.
     real(wp), intent(in) :: x, y, ux, uy
@@ -116,21 +116,22 @@ contains
     !> On the clock of the epoch; a visit that has not ended by then stops there with
     !> `next_event` `undetermined`.
     real(wp), intent(in) :: limit
-    integer :: urn, j, open, kept
+    integer :: urn, j, open, still_open
 
     open = scatterer_visits%count
     do j = 1, open
       scatterer_visits%open(j) = j
     end do
     do
-      kept = 0
+      still_open = 0
       do j = 1, open
-        scatterer_visits%open(kept + 1) = scatterer_visits%open(j)
-        associate (at => scatterer_visits%visit(scatterer_visits%open(j)))
-          if (at%next_event == undetermined .and. at%now%time < limit) kept = kept + 1
+        scatterer_visits%open(still_open + 1) = scatterer_visits%open(j)
+        associate (visit => scatterer_visits%visit(scatterer_visits%open(j)))
+          if (visit%next_event == undetermined &
+            .and. visit%now%time < limit) still_open = still_open + 1
         end associate
       end do
-      open = kept
+      open = still_open
       if (open == 0) exit
       ! Mirror-image urns share a batch.
       if (are_mirror_images(table%urn)) then
@@ -160,14 +161,15 @@ contains
       call reserve_visits(v, open)
       do k = 1, open
         j = scatterer_visits%open(k)
-        associate (at => scatterer_visits%visit(j))
-          if (at%now%chamber /= in_urn .or. at%now%urn < first .or. at%now%urn > last) cycle
+        associate (visit => scatterer_visits%visit(j))
+          if (visit%now%chamber /= in_urn .or. visit%now%urn < first &
+            .or. visit%now%urn > last) cycle
           v%count = v%count + 1
           v%particle(v%count) = j
-          v%x(v%count) = at%now%x
-          v%y(v%count) = at%now%y
-          v%u_axial(v%count) = at%now%ux
-          v%u_lateral(v%count) = at%now%uy
+          v%x(v%count) = visit%now%x
+          v%y(v%count) = visit%now%y
+          v%u_axial(v%count) = visit%now%ux
+          v%u_lateral(v%count) = visit%now%uy
           v%hits(v%count) = 0.0_wp
         end associate
       end do
@@ -179,49 +181,49 @@ contains
     end associate
   end subroutine cross_urns
 
-  !> Continues or ends a visit at the end of its path through an urn.
-  subroutine end_urn_passage(table, v, k, limit, at)
+  !> Continues or ends a visit at the end of its passage through an urn.
+  subroutine end_urn_passage(table, v, k, limit, visit)
     type(table_type), intent(in) :: table
     type(visits_type), intent(in) :: v
     !> Its index in the batch.
     integer, intent(in) :: k
     real(wp), intent(in) :: limit
-    type(scatterer_visit_type), intent(inout) :: at
+    type(scatterer_visit_type), intent(inout) :: visit
     real(wp) :: position(2), velocity(2), leaves, after, until
     integer(int64) :: later
-    logical :: stays, goes_on_now
+    logical :: stays, truncated_now
 
-    leaves = at%now%time + v%length(k)
-    at%hits = at%hits + int(v%hits(k), int64)
-    stays = v%channel(k) /= gated .and. v%channel(k) /= ungated
+    leaves = visit%now%time + v%length(k)
+    visit%hits = visit%hits + int(v%hits(k), int64)
+    stays = v%channel(k) /= channel1 .and. v%channel(k) /= channel2
     ! A truncated visit is continued from half a part before its end, so that what follows is no
     ! sooner than the lookahead.
-    goes_on_now = v%channel(k) == truncated .and. leaves < limit
-    if (goes_on_now .or. (limit < huge(1.0_wp) .and. (stays .or. leaves > limit))) then
-      after = merge(-v%through(k), limit - leaves, goes_on_now)
-      until = merge(leaves - v%through(k), limit, goes_on_now)
-      if (stays .or. until - at%now%time < 0.5_wp*v%length(k)) then
-        call locate_after(table%urn(at%now%urn), at%now%x, at%now%y, at%now%ux, at%now%uy, &
-          until - at%now%time, position, velocity, later)
+    truncated_now = v%channel(k) == truncated .and. leaves < limit
+    if (truncated_now .or. (limit < huge(1.0_wp) .and. (stays .or. leaves > limit))) then
+      after = merge(-v%through(k), limit - leaves, truncated_now)
+      until = merge(leaves - v%through(k), limit, truncated_now)
+      if (stays .or. until - visit%now%time < 0.5_wp*v%length(k)) then
+        call locate_after(table%urn(visit%now%urn), visit%now%x, visit%now%y, visit%now%ux, &
+          visit%now%uy, until - visit%now%time, position, velocity, later)
         later = later - int(v%hits(k), int64)
       else
-        call locate_in_visit(table%urn(at%now%urn), int(v%channel(k)), v%y(k), v%u_axial(k), &
+        call locate_in_visit(table%urn(visit%now%urn), int(v%channel(k)), v%y(k), v%u_axial(k), &
           v%u_lateral(k), after, position, velocity, later)
       end if
-      at%hits = at%hits + later
-      if (goes_on_now) at%next_event = partial_visit
-      at%now = visit_start_at(until, int(at%now%urn), in_urn, position(1), position(2), &
+      visit%hits = visit%hits + later
+      if (truncated_now) visit%next_event = partial_visit
+      visit%now = visit_start_at(until, int(visit%now%urn), in_urn, position(1), position(2), &
         velocity(1), velocity(2))
-    else if (v%channel(k) == ungated) then
-      at%now = visit_start_at(leaves, int(at%now%urn), in_return, &
-        table%half_channel2(at%now%urn)%length, v%y(k), -v%u_axial(k), v%u_lateral(k))
+    else if (v%channel(k) == channel2) then
+      visit%now = visit_start_at(leaves, int(visit%now%urn), in_channel2, &
+        table%half_channel2(visit%now%urn)%length, v%y(k), -v%u_axial(k), v%u_lateral(k))
     else
-      at%now%time = leaves
-      at%next_event = merge(parked_in_urn, to_gate, stays)
-      at%y = v%y(k)
-      at%u_axial = v%u_axial(k)
-      at%u_lateral = v%u_lateral(k)
-      at%through = v%through(k)
+      visit%now%time = leaves
+      visit%next_event = merge(trapped_in_urn, to_gate, stays)
+      visit%y = v%y(k)
+      visit%u_axial = v%u_axial(k)
+      visit%u_lateral = v%u_lateral(k)
+      visit%through = v%through(k)
     end if
   end subroutine end_urn_passage
 
@@ -238,47 +240,47 @@ contains
     n = 0
     do k = 1, open
       j = scatterer_visits%open(k)
-      associate (at => scatterer_visits%visit(j))
-        if (at%now%chamber /= in_return .or. at%now%urn /= urn) cycle
-        if (at%next_event /= undetermined .or. at%now%time >= limit) cycle
+      associate (visit => scatterer_visits%visit(j))
+        if (visit%now%chamber /= in_channel2 .or. visit%now%urn /= urn) cycle
+        if (visit%next_event /= undetermined .or. visit%now%time >= limit) cycle
         n = n + 1
         scatterer_visits%place(n) = j
-        scatterer_visits%motions(n) = at%now
+        scatterer_visits%motions(n) = visit%now
       end associate
     end do
     if (n == 0) return
-    call compute_half_channel_visits(table%half_channel2(urn), limit, n, scatterer_visits%motions, &
-      scatterer_visits%hits)
+    call compute_half_channel_passages(table%half_channel2(urn), limit, n, &
+      scatterer_visits%motions, scatterer_visits%hits)
     do k = 1, n
       call end_half_channel_passage(table, scatterer_visits%motions(k), scatterer_visits%hits(k), &
         limit, scatterer_visits%visit(scatterer_visits%place(k)))
     end do
   end subroutine cross_half_channels
 
-  !> Continues or ends a visit at the end of its path through a half of channel 2.
-  pure subroutine end_half_channel_passage(table, motion, hits, limit, at)
+  !> Continues or ends a visit at the end of its passage through a half of channel 2.
+  pure subroutine end_half_channel_passage(table, motion, hits, limit, visit)
     type(table_type), intent(in) :: table
     !> State at the end of the path, and the wall hits on it.
     type(motion_type), intent(in) :: motion
     integer(int64), intent(in) :: hits
     real(wp), intent(in) :: limit
-    type(scatterer_visit_type), intent(inout) :: at
+    type(scatterer_visit_type), intent(inout) :: visit
 
-    associate (half_channel => table%half_channel2(motion%urn), now => at%now)
-      at%hits = at%hits + hits
+    associate (half_channel => table%half_channel2(motion%urn), now => visit%now)
+      visit%hits = visit%hits + hits
       now = motion
       now%y = sign(min(abs(motion%y), half_channel%half_width), motion%y)
       if (motion%next == meets_nothing) then
         now%time = limit
       else if (motion%next == meets_urn) then
-        now%x = -table%urn(motion%urn)%chord(ungated)
+        now%x = -table%urn(motion%urn)%chord(channel2)
         now%chamber = int(in_urn, int8)
       else
-        at%next_event = merge(to_return, partial_visit, motion%next == meets_line)
-        at%y = now%y
-        at%u_axial = abs(motion%ux)
-        at%u_lateral = motion%uy
-        at%through = 0.0_wp
+        visit%next_event = merge(to_periodic_line, partial_visit, motion%next == meets_line)
+        visit%y = now%y
+        visit%u_axial = abs(motion%ux)
+        visit%u_lateral = motion%uy
+        visit%through = 0.0_wp
       end if
     end associate
   end subroutine end_half_channel_passage
@@ -292,17 +294,18 @@ contains
     integer :: j
 
     do j = 1, scatterer_visits%count
-      associate (at => scatterer_visits%visit(j), its => flight(scatterer_visits%visit(j)%particle))
-        its%next_event = at%next_event
-        its%urn = at%now%urn
-        its%time = at%now%time
-        its%y = at%y
-        its%u_axial = at%u_axial
-        its%u_lateral = at%u_lateral
-        its%through = at%through
-        its%length = at%now%time - scatterer_visits%visit_start(at%particle)%time
-        its%due = merge(huge(1.0_wp), at%now%time, at%next_event == parked_in_urn)
-        computed_hits = computed_hits + at%hits
+      associate (visit => scatterer_visits%visit(j), &
+        next_flight => flight(scatterer_visits%visit(j)%particle))
+        next_flight%next_event = visit%next_event
+        next_flight%urn = visit%now%urn
+        next_flight%time = visit%now%time
+        next_flight%y = visit%y
+        next_flight%u_axial = visit%u_axial
+        next_flight%u_lateral = visit%u_lateral
+        next_flight%through = visit%through
+        next_flight%length = visit%now%time - scatterer_visits%visit_start(visit%particle)%time
+        next_flight%due = merge(huge(1.0_wp), visit%now%time, visit%next_event == trapped_in_urn)
+        computed_hits = computed_hits + visit%hits
       end associate
     end do
   end subroutine store_scatterer_flights
@@ -322,7 +325,7 @@ contains
     integer(int64), intent(out) :: hits
     type(scatterer_visits_type) :: whole, part
     real(wp) :: before, reflected, passed
-    type(motion_type) :: here
+    type(motion_type) :: state_now
 
     call new_scatterer_visits(whole, 1)
     call reserve_scatterer_visits(whole, 1)
@@ -330,23 +333,23 @@ contains
     part = whole
     call compute_scatterer_visits(whole, table, huge(1.0_wp))
     if (now > visit_start%time) call compute_scatterer_visits(part, table, now)
-    here = part%visit(1)%now
+    state_now = part%visit(1)%now
     hits = part%visit(1)%hits - whole%visit(1)%hits
     associate (urn => table%urn(visit_start%urn))
       before = visit_start%time - now
       if (visit_start%chamber == in_urn .and. before > 0.0_wp) then
-        call fold_into_channel(visit_start%y - visit_start%uy*before, urn%width(gated), here%y, &
-          reflected, passed)
-        here%x = visit_start%x + min(abs(visit_start%ux)*before, 0.5_wp*urn%length(gated))
-        here%uy = reflected*visit_start%uy
+        call fold_into_channel(visit_start%y - visit_start%uy*before, urn%width(channel1), &
+          state_now%y, reflected, passed)
+        state_now%x = visit_start%x + min(abs(visit_start%ux)*before, 0.5_wp*urn%length(channel1))
+        state_now%uy = reflected*visit_start%uy
         hits = hits - int(passed, int64)
       end if
-      state = [urn%axis_sign*(here%x - merge(urn%periodic_line, urn%centre, here%chamber &
-        == in_return)), here%y, urn%axis_sign*here%ux, here%uy]
+      state = [urn%axis_sign*(state_now%x - merge(urn%periodic_line, urn%centre, &
+        state_now%chamber == in_channel2)), state_now%y, urn%axis_sign*state_now%ux, state_now%uy]
     end associate
   end subroutine locate_by_replay
 
-  !> Serialises the starts of all visits.
+  !> Saves or restores the starts of all visits.
   subroutine serialize_visit_starts(scatterer_visits, urn, archive)
     type(scatterer_visits_type), intent(inout) :: scatterer_visits
     !> Urn that each particle belongs to.

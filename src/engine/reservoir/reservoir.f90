@@ -22,10 +22,12 @@
 module battery_reservoir
   use battery_kinds, only: wp, int32, int64, pi
   use battery_powers, only: power_above
-  use battery_table, only: table_type, gated, ungated, are_mirror_images, mean_visit, is_scattered
+  use battery_table, only: table_type, channel1, channel2, are_mirror_images, mean_urn_passage, &
+    has_scatterers
   use battery_stay, only: stay_type, draws_type, block_length, draw_ticks, draw_exits, &
-    make_initial_stay, remaining_channel_hits, locate_stay, locate_parked_stay, sum_outside_urns, &
-    serialize_stays, serialize_draws, is_parked, from_gate, from_return, counted_in_gate, to_return
+    make_initial_stay, remaining_channel_hits, locate_stay, locate_trapped_stay, sum_outside_urns, &
+    serialize_stays, serialize_draws, is_trapped, from_gate, from_channel2, counted_in_gate, &
+    to_periodic_line
   use battery_random, only: new_random
   use battery_queue, only: queue_type, empty_queue, push, pop, rebase_queue, serialize_queue
   use battery_gate, only: enter_gate, must_reverse, gate_crossed_first, uncount_first, &
@@ -48,16 +50,16 @@ module battery_reservoir
     !> Time at which each particle enters its urn, unless it is on its way into a channel. A
     !> separate array, since each tick reads this time of a random particle.
     real(wp), allocatable :: entered(:)
-    !> x of each particle in the frame of the table, for those that are parked; allocated if there
+    !> x of each particle in the frame of the table, for those that are trapped; allocated if there
     !> are any.
-    real(wp), allocatable :: parked_x(:)
+    real(wp), allocatable :: trapped_x(:)
     !> Particles that have ticks: `member(:members)`.
     integer :: members = 0
     integer(int32), allocatable :: member(:)
     !> Time of the next tick.
     real(wp) :: next_tick = huge(1.0_wp)
     !> Particles in channel 2 on their way to the periodic line.
-    type(queue_type) :: returning
+    type(queue_type) :: to_periodic_queue
     type(draws_type) :: draws
     !> Longest window, mean time between ticks of one particle, half lengths of the channels, and
     !> the shortest time that the clock of an epoch resolves.
@@ -66,16 +68,16 @@ module battery_reservoir
     !> time; the greater of these two rates.
     logical :: uneven = .false.
     real(wp) :: tick_share(2) = 1.0_wp, urn_rate(2) = 0.0_wp, hit_rate = 0.0_wp
-    !> Wall hits counted so far, an upper bound: as if each particle that is not parked had been in
+    !> Wall hits counted so far, an upper bound: as if each particle that is not trapped had been in
     !> the urn with more hits at all times except its passages before the present stay, and each
     !> passage were complete. Wall hits that event records have reported. Fraction of a hit not yet
     !> counted.
     integer(int64) :: computed_hits = 0, reported_hits = 0
     real(wp) :: fraction = 0.0_wp
-    !> Number of particles that are not parked.
+    !> Number of particles that are not trapped.
     integer :: moving = 0
   contains
-    procedure :: supports, prepare_engine, load_particles, advance_window, rebase_clock, &
+    procedure :: reason_unsupported, prepare_engine, load_particles, advance_window, rebase_clock, &
       serialize_own_state, state_of, collisions
     procedure :: trapped
   end type reservoir_type
@@ -84,28 +86,28 @@ contains
 
   !> Why the engine cannot simulate a table: a passage of a channel with discs has no fixed
   !> duration.
-  pure function supports(self, table) result(reason)
+  pure function reason_unsupported(self, table) result(reason)
     class(reservoir_type), intent(in) :: self
     type(table_type), intent(in) :: table
     character(len=:), allocatable :: reason
 
     reason = unmet_requirement(table)
-    if (is_scattered(table) .and. self%number >= 0) reason = 'it does not support scatterers'
-  end function supports
+    if (has_scatterers(table) .and. self%number >= 0) reason = 'it does not support scatterers'
+  end function reason_unsupported
 
-  !> Derives sizes, rates and lengths from the table and the number of particles.
+  !> Sets mean times, rates and the longest window from the table and the number of particles.
   subroutine prepare_engine(self)
     class(reservoir_type), intent(inout) :: self
     real(wp) :: stay(2), interval
 
-    stay = [mean_visit(self%table%urn(1)), mean_visit(self%table%urn(2))]
+    stay = [mean_urn_passage(self%table%urn(1)), mean_urn_passage(self%table%urn(2))]
     self%urn_rate = self%table%urn%perimeter/(pi*self%table%urn%area)
     self%uneven = .not. are_mirror_images(self%table%urn)
     self%mean_stay = minval(stay)
     self%tick_share = self%mean_stay/stay
     self%hit_rate = maxval(self%urn_rate)
     self%half_length = 0.5_wp*self%table%channel%length
-    interval = self%mean_stay + 0.25_wp*pi*self%table%channel(gated)%length
+    interval = self%mean_stay + 0.25_wp*pi*self%table%channel(channel1)%length
     self%epoch = power_above(4.0_wp*interval)
     self%shortest = epsilon(1.0_wp)*self%epoch
     ! If stays are much shorter than passages, most ticks are of particles in the channels.
@@ -113,7 +115,7 @@ contains
       window_ticks/real(self%number, wp)*self%mean_stay)
     if (allocated(self%stay)) deallocate (self%stay, self%entered, self%member)
     allocate (self%stay(self%number), self%entered(self%number), self%member(self%number))
-    call empty_queue(self%returning)
+    call empty_queue(self%to_periodic_queue)
     self%members = 0
     self%next_tick = huge(1.0_wp)
     self%draws = draws_type(random=new_random(self%seed))
@@ -134,21 +136,22 @@ contains
       associate (stay => self%stay(i))
         select case (stay%phase)
         case (counted_in_gate)
-          call enter_gate(self%gate(stay%urn), stay%time + self%half_length(gated)/stay%u_axial, i)
-        case (to_return)
-          call push(self%returning, stay%time + self%half_length(ungated)/stay%u_axial, i)
-        case (from_gate, from_return)
+          call enter_gate(self%gate(stay%urn), stay%time + self%half_length(channel1) &
+            /stay%u_axial, i)
+        case (to_periodic_line)
+          call push(self%to_periodic_queue, stay%time + self%half_length(channel2)/stay%u_axial, i)
+        case (from_gate, from_channel2)
           call start_ticking(self, i)
         case default
           continue
         end select
         self%computed_hits = self%computed_hits + remaining_channel_hits(self%table, stay)
         ! The time in the channel before the start is not part of the run.
-        if (.not. is_parked(stay)) self%fraction = self%fraction - self%hit_rate*stay%time
+        if (.not. is_trapped(stay)) self%fraction = self%fraction - self%hit_rate*stay%time
       end associate
     end do
-    self%moving = self%number - count(is_parked(self%stay))
-    if (self%moving < self%number) self%parked_x = particles%x
+    self%moving = self%number - count(is_trapped(self%stay))
+    if (self%moving < self%number) self%trapped_x = particles%x
     call schedule_tick(self, 0.0_wp)
   end subroutine load_particles
 
@@ -157,18 +160,18 @@ contains
     class(reservoir_type), intent(inout) :: self
     real(wp), intent(in) :: duration
     type(event_record_type), intent(inout) :: event_record
-    real(wp) :: began, ends, whole
+    real(wp) :: window_start, window_end, whole
 
-    began = self%now
-    ends = min(began + min(duration, self%window), self%epoch)
+    window_start = self%now
+    window_end = min(window_start + min(duration, self%window), self%epoch)
     call reserve_event_record(event_record, 64, 64)
-    call run_window_events(self, began, ends, event_record)
-    self%now = ends
-    self%fraction = self%fraction + self%hit_rate*real(self%moving, wp)*(ends - began)
+    call run_window_events(self, window_start, window_end, event_record)
+    self%now = window_end
+    self%fraction = self%fraction + self%hit_rate*real(self%moving, wp)*(window_end - window_start)
     whole = aint(self%fraction)
     self%computed_hits = self%computed_hits + int(whole, int64)
     self%fraction = self%fraction - whole
-    event_record%duration = ends - began
+    event_record%duration = window_end - window_start
     event_record%collisions = self%computed_hits - self%reported_hits
     self%reported_hits = self%computed_hits
   end subroutine advance_window
@@ -177,39 +180,39 @@ contains
   subroutine rebase_clock(self)
     class(reservoir_type), intent(inout) :: self
 
-    call rebase_queue(self%returning, self%epoch)
+    call rebase_queue(self%to_periodic_queue, self%epoch)
     self%stay%time = self%stay%time - self%epoch
     self%entered = self%entered - self%epoch
     if (self%members > 0) self%next_tick = self%next_tick - self%epoch
     call rebase_gates_and_clock(self)
   end subroutine rebase_clock
 
-  !> Processes all events before `ends`, in the order of time. At one time crossings come before a
-  !> tick; no two ticks are simultaneous.
-  subroutine run_window_events(self, began, ends, event_record)
+  !> Processes all events before `window_end`, in the order of time. At one time crossings come
+  !> before a tick; no two ticks are simultaneous.
+  subroutine run_window_events(self, window_start, window_end, event_record)
     type(reservoir_type), intent(inout) :: self
-    real(wp), intent(in) :: began, ends
+    real(wp), intent(in) :: window_start, window_end
     type(event_record_type), intent(inout) :: event_record
     real(wp) :: time, crossing, place
     integer :: at
     logical :: leaves
 
     do
-      crossing = min(first_crossing_time(self%gate), self%returning%next)
+      crossing = min(first_crossing_time(self%gate), self%to_periodic_queue%next)
       time = self%next_tick
       if (crossing <= time) then
-        if (crossing >= ends) exit
-        call process_line_crossing(self, crossing, began, event_record)
+        if (crossing >= window_end) exit
+        call process_line_crossing(self, crossing, window_start, event_record)
         cycle
       end if
-      if (time >= ends) exit
+      if (time >= window_end) exit
       place = self%draws%selector(self%draws%next_tick - 1)*real(self%members, wp)
       at = min(1 + int(place), self%members)
       if (self%entered(self%member(at)) <= time) then
         leaves = .true.
         if (self%uneven) call thin_tick(self, self%member(at), place - real(at - 1, wp), time, &
           leaves)
-        if (leaves) call leave_urn(self, at, time, began, event_record)
+        if (leaves) call leave_urn(self, at, time, window_start, event_record)
       end if
       call schedule_tick(self, time)
     end do
@@ -231,10 +234,10 @@ contains
   end subroutine thin_tick
 
   !> Moves member `at` at `time` out of its urn, into one of the channels.
-  subroutine leave_urn(self, at, time, began, event_record)
+  subroutine leave_urn(self, at, time, window_start, event_record)
     type(reservoir_type), intent(inout) :: self
     integer, intent(in) :: at
-    real(wp), intent(in) :: time, began
+    real(wp), intent(in) :: time, window_start
     type(event_record_type), intent(inout) :: event_record
     integer :: i, k, urn
     real(wp) :: inverse
@@ -253,16 +256,19 @@ contains
       stay%u_lateral = self%draws%u_lateral(k)
       stay%hits = self%draws%hits(k)
       urn = stay%urn
-      stay%phase = int(merge(counted_in_gate, to_return, self%draws%channel(k) == gated), int32)
+      stay%phase = int(merge(counted_in_gate, to_periodic_line, &
+        self%draws%channel(k) == channel1), int32)
     end associate
     self%member(at) = self%member(self%members)
     self%members = self%members - 1
-    if (self%draws%channel(k) == gated) then
-      call enter_gate(self%gate(urn), time + self%half_length(gated)*inverse, i)
-      if (event_record%logging) call record_event(event_record, time - began, event_entry, urn, i)
-      if (must_reverse(self%gate(urn))) call reverse_gate(self, urn, time, began, event_record)
+    if (self%draws%channel(k) == channel1) then
+      call enter_gate(self%gate(urn), time + self%half_length(channel1)*inverse, i)
+      if (event_record%logging) call record_event(event_record, time - window_start, event_entry, &
+        urn, i)
+      if (must_reverse(self%gate(urn))) call reverse_gate(self, urn, time, window_start, &
+        event_record)
     else
-      call push(self%returning, time + self%half_length(ungated)*inverse, i)
+      call push(self%to_periodic_queue, time + self%half_length(channel2)*inverse, i)
     end if
   end subroutine leave_urn
 
@@ -289,16 +295,16 @@ contains
 
   !> Reverses a gate: all particles that it counts return to their urn. The way out takes as long as
   !> the way in.
-  subroutine reverse_gate(self, urn, time, began, event_record)
+  subroutine reverse_gate(self, urn, time, window_start, event_record)
     type(reservoir_type), intent(inout) :: self
     integer, intent(in) :: urn
-    real(wp), intent(in) :: time, began
+    real(wp), intent(in) :: time, window_start
     type(event_record_type), intent(inout) :: event_record
     real(wp) :: hits, per_width
     integer :: place, i
 
-    per_width = 1.0_wp/self%table%channel(gated)%width
-    call record_reversal(event_record, time - began, urn, number_inside(self%gate(urn)))
+    per_width = 1.0_wp/self%table%channel(channel1)%width
+    call record_reversal(event_record, time - window_start, urn, number_inside(self%gate(urn)))
     do place = 1, number_inside(self%gate(urn))
       i = counted_particle(self%gate(urn), place)
       hits = aint(abs(self%stay(i)%y + self%stay(i)%u_lateral*(2.0_wp*(time - self%stay(i)%time))) &
@@ -315,25 +321,25 @@ contains
   !> Processes the earliest pending crossing of a line (of a single urn: hit of the end wall): the
   !> particle moves to the urn beyond. One more particle has ticks, so the next tick comes sooner in
   !> proportion.
-  subroutine process_line_crossing(self, time, began, event_record)
+  subroutine process_line_crossing(self, time, window_start, event_record)
     type(reservoir_type), intent(inout) :: self
-    real(wp), intent(in) :: time, began
+    real(wp), intent(in) :: time, window_start
     type(event_record_type), intent(inout) :: event_record
     integer :: i, urn, channel
 
     urn = gate_crossed_first(self%gate)
-    channel = merge(gated, ungated, next_crossing_time(self%gate(urn)) <= time)
-    if (channel == gated) then
+    channel = merge(channel1, channel2, next_crossing_time(self%gate(urn)) <= time)
+    if (channel == channel1) then
       call uncount_first(self%gate(urn), i)
     else
-      call pop(self%returning, i)
+      call pop(self%to_periodic_queue, i)
       urn = self%stay(i)%urn
     end if
-    call record_crossing(event_record, time - began, crossing_of(urn, channel), i)
-    if (self%table%beyond(urn) == urn) self%computed_hits = self%computed_hits + 1
+    call record_crossing(event_record, time - window_start, crossing_of(urn, channel), i)
+    if (self%table%urn_across(urn) == urn) self%computed_hits = self%computed_hits + 1
     associate (stay => self%stay(i))
-      stay%urn = int(self%table%beyond(urn), int32)
-      stay%phase = int(merge(from_gate, from_return, channel == gated), int32)
+      stay%urn = int(self%table%urn_across(urn), int32)
+      stay%phase = int(merge(from_gate, from_channel2, channel == channel1), int32)
       self%entered(i) = stay%time + 2.0_wp*self%half_length(channel)/stay%u_axial
     end associate
     call start_ticking(self, i)
@@ -353,8 +359,8 @@ contains
     integer(int64) :: key
 
     key = self%seed + ishft(self%epochs, 20) + int(self%now/self%epoch*2.0_wp**61, int64)
-    if (is_parked(self%stay(i))) then
-      state = locate_parked_stay(self%table, self%stay(i), self%parked_x(i), self%now)
+    if (is_trapped(self%stay(i))) then
+      state = locate_trapped_stay(self%table, self%stay(i), self%trapped_x(i), self%now)
     else
       state = locate_stay(self%table, self%stay(i), self%entered(i), self%now, key, int(i, int64))
     end if
@@ -375,7 +381,7 @@ contains
       self%moving < self%number))
   end function collisions
 
-  !> Number of parked particles.
+  !> Number of trapped particles.
   function trapped(self) result(total)
     class(reservoir_type), intent(in) :: self
     integer(int64) :: total
@@ -383,17 +389,17 @@ contains
     total = self%number - self%moving
   end function trapped
 
-  !> Serialises the stays, the particles that have ticks, the random numbers drawn ahead and the
-  !> counts.
+  !> Saves or restores the stays, the particles that have ticks, the random numbers drawn ahead and
+  !> the counts.
   subroutine serialize_own_state(self, archive)
     class(reservoir_type), intent(inout) :: self
     type(archive_type), intent(inout) :: archive
 
-    call serialize_stays(self%table, self%stay, self%entered, self%parked_x, archive)
+    call serialize_stays(self%table, self%stay, self%entered, self%trapped_x, archive)
     call archive%serialize('members', self%members)
     call archive%serialize('member', self%member(:self%members))
     call archive%serialize('next_tick', self%next_tick)
-    call serialize_queue(self%returning, archive)
+    call serialize_queue(self%to_periodic_queue, archive)
     call serialize_draws(self%draws, archive)
     call archive%serialize('known_hits', self%computed_hits)
     call archive%serialize('told_hits', self%reported_hits)

@@ -1,7 +1,7 @@
 !> State of a particle of the engine `reservoir`, and the random numbers that decide its stays.
 module battery_stay
   use battery_kinds, only: wp, int32, int64, pi
-  use battery_table, only: table_type, passage_type, passage_at, gated, ungated, no_channel, &
+  use battery_table, only: table_type, passage_type, passage_at, channel1, channel2, no_channel, &
     x_direction, try_random_point
   use battery_channel, only: fold_into_channel
   use battery_archive, only: archive_type
@@ -9,23 +9,23 @@ module battery_stay
   implicit none (type, external)
   private
   public :: stay_type, draws_type, block_length, draw_ticks, draw_exits, make_initial_stay, &
-    locate_stay, locate_parked_stay, is_parked, remaining_channel_hits, sum_outside_urns, &
+    locate_stay, locate_trapped_stay, is_trapped, remaining_channel_hits, sum_outside_urns, &
     serialize_stays, serialize_draws
-  public :: from_gate, from_return, counted_in_gate, to_return
+  public :: from_gate, from_channel2, counted_in_gate, to_periodic_line
 
   !> Random numbers drawn at a time.
   integer, parameter :: block_length = 512
 
   !> Phases of a particle: in an urn, or on the way into it from channel 1 or 2 (`from_gate`,
-  !> `from_return`); counted in a gate; on the way to the periodic line; parked, moving across
+  !> `from_channel2`); counted in a gate; on the way to the periodic line; trapped, moving across
   !> channel 1 or 2 for ever.
-  integer, parameter :: from_gate = 1, from_return = 2, counted_in_gate = 3, to_return = 4, &
-    parked_in_gate = 5, parked_in_return = 6
+  integer, parameter :: from_gate = 1, from_channel2 = 2, counted_in_gate = 3, &
+    to_periodic_line = 4, trapped_in_gate = 5, trapped_in_channel2 = 6
 
   !> State of a particle, except for the time at which it enters its urn.
   type :: stay_type
     !> Time, height, |u_x| and u_y at its entry into the channel that it is in, or was in last. If
-    !> it is parked: time and height at which it was loaded.
+    !> it is trapped: time and height at which it was loaded.
     real(wp) :: time = 0.0_wp, y = 0.0_wp, u_axial = 0.0_wp, u_lateral = 0.0_wp
     !> Wall hits of the complete passage through that channel.
     real(wp) :: hits = 0.0_wp
@@ -43,12 +43,12 @@ module battery_stay
     real(wp), dimension(block_length) :: wait = 0.0_wp, selector = 0.0_wp
     real(wp), dimension(block_length) :: y = 0.0_wp, u_axial = 0.0_wp, inverse = 0.0_wp, &
       u_lateral = 0.0_wp, hits = 0.0_wp
-    integer :: channel(block_length) = gated
+    integer :: channel(block_length) = channel1
   end type draws_type
 
 contains
 
-  !> Draws a block of ticks.
+  !> Draws `block_length` ticks.
   pure subroutine draw_ticks(draws)
     type(draws_type), intent(inout) :: draws
     integer :: k
@@ -64,23 +64,23 @@ contains
     draws%next_tick = 1
   end subroutine draw_ticks
 
-  !> Draws a block of exits. One number decides the opening and the height: its place on both
-  !> openings laid end to end.
+  !> Draws `block_length` exits from an urn. One random number decides opening and height: it is a
+  !> position on both openings laid end to end.
   pure subroutine draw_exits(draws, table)
     type(draws_type), intent(inout) :: draws
     type(table_type), intent(in) :: table
     real(wp) :: place, sine, width, length, width1, width2, length1, length2
     integer :: k
 
-    width1 = table%channel(gated)%width
-    width2 = table%channel(ungated)%width
-    length1 = table%channel(gated)%length
-    length2 = table%channel(ungated)%length
+    width1 = table%channel(channel1)%width
+    width2 = table%channel(channel2)%width
+    length1 = table%channel(channel1)%length
+    length2 = table%channel(channel2)%length
     call draw_uniform(draws%random, block_length, draws%y)
     call draw_uniform(draws%random, block_length, draws%u_lateral)
     do k = 1, block_length
       place = (width1 + width2)*draws%y(k)
-      draws%channel(k) = merge(gated, ungated, place < width1)
+      draws%channel(k) = merge(channel1, channel2, place < width1)
       width = merge(width1, width2, place < width1)
       length = merge(length1, length2, place < width1)
       draws%y(k) = merge(place, place - width1, place < width1) - 0.5_wp*width
@@ -107,16 +107,17 @@ contains
     passage = passage_at(table, x, y, ux, uy)
     entered = 0.0_wp
     stay = stay_type(y=y, u_axial=abs(ux), u_lateral=uy, urn=int(passage%urn, int32))
-    if (passage%endless) then
-      stay%phase = int(merge(parked_in_gate, parked_in_return, passage%channel == gated), int32)
+    if (passage%trapped) then
+      stay%phase = int(merge(trapped_in_gate, trapped_in_channel2, passage%channel == channel1), &
+        int32)
     else if (passage%moves_away) then
       stay%time = passage%time
       stay%y = passage%height
       stay%u_lateral = passage%reflected*uy
-      stay%phase = int(merge(counted_in_gate, to_return, passage%channel == gated), int32)
+      stay%phase = int(merge(counted_in_gate, to_periodic_line, passage%channel == channel1), int32)
       stay%hits = real(channel_hits(table, stay, table%channel(passage%channel)%length/abs(ux)), wp)
     else if (passage%channel /= no_channel) then
-      stay%phase = int(merge(from_gate, from_return, passage%channel == gated), int32)
+      stay%phase = int(merge(from_gate, from_channel2, passage%channel == channel1), int32)
       entered = passage%time
       stay%hits = real(channel_hits(table, stay, entered), wp)
     end if
@@ -140,17 +141,17 @@ contains
     type(stay_type), intent(in) :: stay
     real(wp) :: width
 
-    width = table%channel(merge(gated, ungated, any(stay%phase == [from_gate, counted_in_gate, &
-      parked_in_gate])))%width
+    width = table%channel(merge(channel1, channel2, any(stay%phase == [from_gate, counted_in_gate, &
+      trapped_in_gate])))%width
   end function channel_width_of
 
   !> Whether a particle moves across a channel for ever.
-  elemental function is_parked(stay)
+  elemental function is_trapped(stay)
     type(stay_type), intent(in) :: stay
-    logical :: is_parked
+    logical :: is_trapped
 
-    is_parked = any(stay%phase == [parked_in_gate, parked_in_return])
-  end function is_parked
+    is_trapped = any(stay%phase == [trapped_in_gate, trapped_in_channel2])
+  end function is_trapped
 
   !> Wall hits after the time 0 in the passage that a particle is in at the start.
   elemental function remaining_channel_hits(table, stay) result(hits)
@@ -170,10 +171,10 @@ contains
     real(wp), intent(in) :: entered(:), now
     !> Wall hits per time in each urn, relative to the urn with more hits.
     real(wp), intent(in) :: rate(2)
-    !> Time that all particles which are not parked have spent in their last channels; if the urns
+    !> Time that all particles that are not trapped have spent in their last channels; if the urns
     !> differ, plus the result of `missed_time`.
     real(wp), intent(out) :: outside
-    !> Wall hits in these channels until now, less those of the complete passages; of parked
+    !> Wall hits in these channels until now, less those of the complete passages; of trapped
     !> particles, all hits.
     integer(int64), intent(out) :: passed
     integer :: i
@@ -181,16 +182,17 @@ contains
     outside = 0.0_wp
     passed = 0
     do i = 1, size(stay)
-      associate (its => stay(i))
-        if (is_parked(its)) then
-          passed = passed + channel_hits(table, its, now - its%time)
-        else if (any(its%phase == [counted_in_gate, to_return])) then
-          outside = outside + (now - its%time)
-          passed = passed + channel_hits(table, its, now - its%time) - int(its%hits, int64)
+      associate (this_stay => stay(i))
+        if (is_trapped(this_stay)) then
+          passed = passed + channel_hits(table, this_stay, now - this_stay%time)
+        else if (any(this_stay%phase == [counted_in_gate, to_periodic_line])) then
+          outside = outside + (now - this_stay%time)
+          passed = passed + channel_hits(table, this_stay, &
+            now - this_stay%time) - int(this_stay%hits, int64)
         else
-          outside = outside + (min(entered(i), now) - its%time)
-          if (now < entered(i)) passed = passed + channel_hits(table, its, now - its%time) &
-            - int(its%hits, int64)
+          outside = outside + (min(entered(i), now) - this_stay%time)
+          if (now < entered(i)) passed = passed + channel_hits(table, this_stay, &
+            now - this_stay%time) - int(this_stay%hits, int64)
         end if
       end associate
     end do
@@ -206,13 +208,13 @@ contains
 
     time = 0.0_wp
     do i = 1, size(stay)
-      if (all(stay(i)%phase /= [from_gate, from_return])) cycle
+      if (all(stay(i)%phase /= [from_gate, from_channel2])) cycle
       time = time + (1.0_wp - rate(stay(i)%urn))*max(now - entered(i), 0.0_wp)
     end do
   end function missed_time
 
-  !> State (x, y, u_x, u_y) of a parked particle.
-  pure function locate_parked_stay(table, stay, x, now) result(place)
+  !> State (x, y, u_x, u_y) of a trapped particle.
+  pure function locate_trapped_stay(table, stay, x, now) result(place)
     type(table_type), intent(in) :: table
     type(stay_type), intent(in) :: stay
     !> x of the particle in the frame of the table; the time now.
@@ -225,9 +227,9 @@ contains
     call fold_into_channel(stay%y + stay%u_lateral*(now - stay%time), channel_width_of(table, &
       stay), place(2), reflected, hits)
     place(4) = reflected*stay%u_lateral
-  end function locate_parked_stay
+  end function locate_trapped_stay
 
-  !> State (x, y, u_x, u_y) of a particle that is not parked. In an urn it is drawn, from `key` and
+  !> State (x, y, u_x, u_y) of a particle that is not trapped. In an urn it is drawn, from `key` and
   !> `count`.
   pure function locate_stay(table, stay, entered, now, key, count) result(place)
     type(table_type), intent(in) :: table
@@ -240,19 +242,19 @@ contains
     real(wp) :: place(4)
     real(wp) :: gone, left, begins
 
-    begins = table%urn(stay%urn)%channel_start(ungated)
+    begins = table%urn(stay%urn)%channel_start(channel2)
     gone = stay%u_axial*(now - stay%time)
     left = stay%u_axial*(entered - now)
     select case (stay%phase)
     case (counted_in_gate)
-      place = in_channel(0.5_wp*table%channel(gated)%length - gone, -1.0_wp)
-    case (to_return)
+      place = in_channel(0.5_wp*table%channel(channel1)%length - gone, -1.0_wp)
+    case (to_periodic_line)
       place = in_channel(begins + gone, 1.0_wp)
     case default
       if (now >= entered) then
         place = draw_point_in_urn(table, stay%urn, key, count)
       else if (stay%phase == from_gate) then
-        place = in_channel(0.5_wp*table%channel(gated)%length - left, 1.0_wp)
+        place = in_channel(0.5_wp*table%channel(channel1)%length - left, 1.0_wp)
       else
         place = in_channel(begins + left, -1.0_wp)
       end if
@@ -299,21 +301,21 @@ contains
     place(3:) = [cos(angle), sin(angle)]
   end function draw_point_in_urn
 
-  !> Serialises the stays, and the time at which each particle `entered` its urn.
-  subroutine serialize_stays(table, stay, entered, parked_x, archive)
+  !> Saves or restores the stays, and the time at which each particle `entered` its urn.
+  subroutine serialize_stays(table, stay, entered, trapped_x, archive)
     type(table_type), intent(in) :: table
     type(stay_type), intent(inout) :: stay(:)
     real(wp), intent(inout) :: entered(:)
-    !> x of each particle in the frame of the table; allocated if there are parked ones.
-    real(wp), allocatable, intent(inout) :: parked_x(:)
+    !> x of each particle in the frame of the table; allocated if there are trapped ones.
+    real(wp), allocatable, intent(inout) :: trapped_x(:)
     type(archive_type), intent(inout) :: archive
 
-    ! In a saved state, x of a parked particle is stored in place of `u_axial`, and both channels
-    ! have the same phase of parked particles.
-    if (allocated(parked_x) .and. .not. archive%reading) then
-      where (is_parked(stay))
-        stay%u_axial = parked_x
-        stay%phase = parked_in_gate
+    ! In a saved state, x of a trapped particle is stored in place of `u_axial`, and both channels
+    ! have the same phase of trapped particles.
+    if (allocated(trapped_x) .and. .not. archive%reading) then
+      where (is_trapped(stay))
+        stay%u_axial = trapped_x
+        stay%phase = trapped_in_gate
       end where
     end if
     call archive%serialize('time', stay%time, 'y', stay%y, 'along', stay%u_axial, 'across', &
@@ -321,16 +323,16 @@ contains
     call archive%serialize('hits', stay%hits)
     call archive%serialize('heading', stay%phase)
     call archive%serialize('urn', stay%urn)
-    if (.not. any(is_parked(stay))) return
-    parked_x = stay%u_axial
-    where (is_parked(stay))
+    if (.not. any(is_trapped(stay))) return
+    trapped_x = stay%u_axial
+    where (is_trapped(stay))
       stay%u_axial = 0.0_wp
-      stay%phase = int(merge(parked_in_gate, parked_in_return, abs(parked_x) &
-        <= 0.5_wp*table%channel(gated)%length), int32)
+      stay%phase = int(merge(trapped_in_gate, trapped_in_channel2, &
+        abs(trapped_x) <= 0.5_wp*table%channel(channel1)%length), int32)
     end where
   end subroutine serialize_stays
 
-  !> Serialises the random generator, and the numbers drawn ahead.
+  !> Saves or restores the random generator, and the numbers drawn ahead.
   pure subroutine serialize_draws(draws, archive)
     type(draws_type), intent(inout) :: draws
     type(archive_type), intent(inout) :: archive

@@ -38,7 +38,8 @@ module battery_collision
 
 contains
 
-  !> Derives the longest window; allocates the particles.
+  !> Sets the length of the longest window, from the table and the number of particles; allocates
+  !> the particles.
   subroutine prepare_engine(self)
     class(collision_type), intent(inout) :: self
 
@@ -72,22 +73,22 @@ contains
     class(collision_type), intent(inout) :: self
     type(event_record_type), intent(inout) :: event_record
     real(wp), intent(in) :: duration
-    real(wp) :: ends, wait
+    real(wp) :: window_end, wait
     integer(int64) :: hits
     integer :: i, first
 
-    ends = end_of_window(self, duration)
+    window_end = end_of_window(self, duration)
     do
-      call process_collisions_until(self%table, self%number, self%motion, self%tournament, ends, &
-        hits)
+      call process_collisions_until(self%table, self%number, self%motion, self%tournament, &
+        window_end, hits)
       call count_hits(self, event_record, hits)
-      if (self%tournament%node(1)%time >= ends) exit
+      if (self%tournament%node(1)%time >= window_end) exit
       if (event_record%collisions_seen >= most_hits) then
-        ends = self%tournament%node(1)%time
+        window_end = self%tournament%node(1)%time
         exit
       end if
       self%now = self%tournament%node(1)%time
-      self%since = self%now - self%began
+      self%window_time = self%now - self%window_start
       first = event_record%events + 1
       do while (self%tournament%node(1)%time <= self%now)
         i = self%tournament%node(1)%particle
@@ -98,18 +99,18 @@ contains
       end do
       call end_instant(self, first, event_record)
     end do
-    self%now = ends
-    self%since = ends - self%began
+    self%now = window_end
+    self%window_time = window_end - self%window_start
   end subroutine process_window
 
   !> Hot loop: processes wall collisions until an event of another kind is due or the window ends. A
   !> collision changes one particle only.
-  pure subroutine process_collisions_until(table, number, motion, tournament, ends, hits)
+  pure subroutine process_collisions_until(table, number, motion, tournament, window_end, hits)
     type(table_type), intent(in) :: table
     integer, intent(in) :: number
     type(motion_type), intent(inout) :: motion(number)
     type(tournament_type), intent(inout) :: tournament
-    real(wp), intent(in) :: ends
+    real(wp), intent(in) :: window_end
     integer(int64), intent(out) :: hits
     real(wp) :: time, wait
     integer :: i
@@ -118,7 +119,7 @@ contains
     do
       time = tournament%node(1)%time
       i = tournament%node(1)%particle
-      if (time >= ends .or. motion(i)%next < meets_channel_wall .or. hits >= most_hits) exit
+      if (time >= window_end .or. motion(i)%next < meets_channel_wall .or. hits >= most_hits) exit
       call move_straight(motion(i), time - motion(i)%time)
       call hit_wall(table, motion(i), wait)
       motion(i)%time = time
@@ -127,7 +128,7 @@ contains
     end do
   end subroutine process_collisions_until
 
-  !> Reverses particle `i`, which a gate turns back.
+  !> Reverses the axial velocity of particle `i`.
   subroutine reverse_particle(self, i)
     class(collision_type), intent(inout) :: self
     integer, intent(in) :: i
@@ -174,7 +175,7 @@ contains
     call rebase_gates_and_clock(self)
   end subroutine rebase_clock
 
-  !> Serialises the counts, the particles, and the time of the next event of each particle.
+  !> Saves or restores the counts, the particles, and the time of the next event of each particle.
   subroutine serialize_own_state(self, archive)
     class(collision_type), intent(inout) :: self
     type(archive_type), intent(inout) :: archive

@@ -51,7 +51,7 @@ module battery_synchronous
     !> Whether the next pass goes backwards.
     logical :: backwards = .false.
     !> Velocities of particles without a next event.
-    real(wp), allocatable :: parked_ux(:), parked_uy(:)
+    real(wp), allocatable :: trapped_ux(:), trapped_uy(:)
     !> Least time left in each lane.
     real(wp) :: least(row_length) = 0.0_wp
   contains
@@ -61,7 +61,8 @@ module battery_synchronous
 
 contains
 
-  !> Derives the longest window; allocates the rows, with padding only.
+  !> Sets the length of the longest window, from the table and the number of particles; allocates
+  !> the rows, with padding only.
   subroutine prepare_engine(self)
     class(synchronous_type), intent(inout) :: self
     integer :: number, bytes, i
@@ -72,7 +73,7 @@ contains
     bytes = storage_size(1.0_wp)/8
     self%window = longest_window(self, min(window_events, window_moves/real(number, wp)))
     if (allocated(self%field)) deallocate (self%field, self%urn, self%chamber, self%next, &
-      self%parked_ux, self%parked_uy)
+      self%trapped_ux, self%trapped_uy)
     allocate (self%field(row_length*in_left*self%rows + line_bytes/bytes - 1), source=0.0_wp)
     self%begins = 1 + bytes_to_next_line(self%field)/bytes
     do i = 1, row_length*self%rows
@@ -80,7 +81,7 @@ contains
     end do
     allocate (self%urn(number), self%chamber(number), source=1_int8)
     allocate (self%next(number), source=meets_nothing)
-    allocate (self%parked_ux(number), self%parked_uy(number), source=0.0_wp)
+    allocate (self%trapped_ux(number), self%trapped_uy(number), source=0.0_wp)
   end subroutine prepare_engine
 
   !> Index in `field` of the number `which` (`in_x` ...) of particle `i`.
@@ -107,26 +108,26 @@ contains
     class(synchronous_type), intent(inout) :: self
     type(event_record_type), intent(inout) :: event_record
     real(wp), intent(in) :: duration
-    real(wp) :: ends, wait
+    real(wp) :: window_end, wait
 
-    ends = end_of_window(self, duration)
+    window_end = end_of_window(self, duration)
     do
       wait = least_of_lanes(self%least)
-      if (self%now + wait >= ends) exit
+      if (self%now + wait >= window_end) exit
       if (event_record%collisions_seen >= most_hits) then
-        ends = self%now
+        window_end = self%now
         exit
       end if
       call move_all_particles(self, wait)
       self%now = self%now + wait
-      self%since = self%now - self%began
+      self%window_time = self%now - self%window_start
       call process_instant(self, event_record)
     end do
     ! At most the least time left: by rounding, the next event might otherwise lie in the past.
-    wait = min(wait, ends - self%now)
+    wait = min(wait, window_end - self%now)
     call move_all_particles(self, wait)
-    self%now = ends
-    self%since = ends - self%began
+    self%now = window_end
+    self%window_time = window_end - self%window_start
   end subroutine process_window
 
   !> Moves all particles by `time`.
@@ -222,7 +223,7 @@ contains
     i = 0
   end subroutine find_due_particle
 
-  !> State of particle `i` now; if it is parked, with its true velocity.
+  !> State of particle `i` now; if it is trapped, with its true velocity.
   pure function motion_now(self, i) result(motion)
     class(synchronous_type), intent(in) :: self
     integer, intent(in) :: i
@@ -230,8 +231,8 @@ contains
 
     motion%x = self%field(field_index(self, i, in_x))
     motion%y = self%field(field_index(self, i, in_y))
-    motion%ux = self%field(field_index(self, i, in_ux)) + self%parked_ux(i)
-    motion%uy = self%field(field_index(self, i, in_uy)) + self%parked_uy(i)
+    motion%ux = self%field(field_index(self, i, in_ux)) + self%trapped_ux(i)
+    motion%uy = self%field(field_index(self, i, in_uy)) + self%trapped_uy(i)
     motion%urn = self%urn(i)
     motion%chamber = self%chamber(i)
     motion%next = self%next(i)
@@ -255,8 +256,8 @@ contains
     self%chamber(i) = motion%chamber
     self%next(i) = motion%next
     if (motion%next /= meets_nothing) return
-    self%parked_ux(i) = motion%ux
-    self%parked_uy(i) = motion%uy
+    self%trapped_ux(i) = motion%ux
+    self%trapped_uy(i) = motion%uy
   end subroutine store_motion
 
   !> Updates the least time left in one lane.
@@ -287,7 +288,7 @@ contains
     end do
   end subroutine update_all_minima
 
-  !> Serialises the counts and the rows.
+  !> Saves or restores the counts and the rows.
   subroutine serialize_own_state(self, archive)
     class(synchronous_type), intent(inout) :: self
     type(archive_type), intent(inout) :: archive
@@ -303,7 +304,7 @@ contains
     call archive%serialize('side', self%urn)
     call archive%serialize('chamber', self%chamber)
     call archive%serialize('next', self%next)
-    call archive%serialize('kept_ux', self%parked_ux, 'kept_uy', self%parked_uy, 'least', &
+    call archive%serialize('kept_ux', self%trapped_ux, 'kept_uy', self%trapped_uy, 'least', &
       self%least)
     call archive%serialize('backwards', self%backwards)
   end subroutine serialize_own_state

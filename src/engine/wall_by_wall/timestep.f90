@@ -21,8 +21,8 @@
 module battery_timestep
   use battery_kinds, only: wp, int8, int64
   use battery_text, only: to_text
-  use battery_table, only: table_type, urn_type, gated, ungated, in_urn, in_gate, in_return, &
-    x_direction, are_mirror_images, is_scattered
+  use battery_table, only: table_type, urn_type, channel1, channel2, in_urn, in_gate, in_channel2, &
+    x_direction, are_mirror_images, has_scatterers
   use battery_channel, only: fold_into_channel, facing, is_open
   use battery_motion, only: motion_type
   use battery_urn, only: contains_point, reflect_overshoot
@@ -36,7 +36,7 @@ module battery_timestep
   public :: timestep_type
 
   !> The last step before a stop may be longer by this fraction, so that no tiny step follows.
-  real(wp), parameter :: stretch = 1.0e-3_wp
+  real(wp), parameter :: step_tolerance = 1.0e-3_wp
 
   !> Largest number of moves of particles in a window.
   real(wp), parameter :: window_moves = 262144.0_wp
@@ -53,21 +53,21 @@ module battery_timestep
     !> Steps in a window.
     integer :: steps = 1
   contains
-    procedure :: supports, prepare_engine, process_window, serialize_own_state, motion_now, &
-      store_motion
+    procedure :: reason_unsupported, prepare_engine, process_window, serialize_own_state, &
+      motion_now, store_motion
   end type timestep_type
 
 contains
 
   !> Why the engine cannot simulate a table: a step must not lead over a gate, or out of an urn.
-  pure function supports(self, table) result(reason)
+  pure function reason_unsupported(self, table) result(reason)
     class(timestep_type), intent(in) :: self
     type(table_type), intent(in) :: table
     character(len=:), allocatable :: reason
     real(wp) :: longest
 
     reason = unmet_requirement(table)
-    if (is_scattered(table)) reason = 'it does not support scatterers'
+    if (has_scatterers(table)) reason = 'it does not support scatterers'
     if (reason /= '') return
     longest = min(minval(table%urn%longest_step), minval(0.5_wp*table%channel%length, &
       mask=is_open(table%channel)))
@@ -75,9 +75,10 @@ contains
       'its time_step must be above 0 and below '//to_text(longest) &
       //', the least of half the length of each open channel, of twice the area of an urn over ' &
       //'its perimeter (a disc''s radius), and of the distance between walls that are not adjacent'
-  end function supports
+  end function reason_unsupported
 
-  !> Derives the number of steps in a window; allocates the particles.
+  !> Sets the number of steps in a window, from the table and the number of particles; allocates the
+  !> particles.
   subroutine prepare_engine(self)
     class(timestep_type), intent(inout) :: self
     integer :: number
@@ -101,14 +102,15 @@ contains
     real(wp) :: step
     integer :: step_number
 
-    self%since = 0.0_wp
+    self%window_time = 0.0_wp
     do step_number = 1, self%steps
-      if (self%began + self%since >= self%epoch) exit
+      if (self%window_start + self%window_time >= self%epoch) exit
       step = self%time_step
-      if (duration - self%since < (1.0_wp + stretch)*step) step = max(duration - self%since, 0.0_wp)
+      if (duration - self%window_time < (1.0_wp + step_tolerance)*step) &
+        step = max(duration - self%window_time, 0.0_wp)
       if (step_number > 1 .and. .not. step > 0.0_wp) exit
-      self%since = self%since + step
-      self%now = self%began + self%since
+      self%window_time = self%window_time + step
+      self%now = self%window_start + self%window_time
       call move_particles(self%table%urn(1), self%number, step, self%x, self%y, self%ux, self%uy, &
         self%chamber, self%near_wall)
       if (.not. are_mirror_images(self%table%urn)) call mark_near_walls_of_urn2(self)
@@ -131,8 +133,8 @@ contains
 
     ! Copies that the compiler may keep in registers.
     clear2 = urn%clear**2
-    chord1 = urn%chord(gated)
-    chord2 = urn%chord(ungated)
+    chord1 = urn%chord(channel1)
+    chord2 = urn%chord(channel2)
     centre = urn%centre
     do i = 1, number
       x(i) = x(i) + ux(i)*step
@@ -160,8 +162,8 @@ contains
     associate (urn => self%table%urn(2))
       do i = 1, self%number
         if (self%urn(i) == 2 .and. self%chamber(i) == in_urn) self%near_wall(i) = &
-          is_near_wall(urn%centre - abs(self%x(i)), self%y(i), urn%clear**2, urn%chord(gated), &
-          urn%chord(ungated))
+          is_near_wall(urn%centre - abs(self%x(i)), self%y(i), urn%clear**2, urn%chord(channel1), &
+          urn%chord(channel2))
       end do
     end associate
   end subroutine mark_near_walls_of_urn2
@@ -195,13 +197,14 @@ contains
     associate (urn => self%table%urn(self%urn(i)), y => self%y(i))
       x = urn%centre + urn%axis_sign*self%x(i)
       ux = urn%axis_sign*self%ux(i)
-      if (x >= urn%chord(gated) .and. ux > 0.0_wp .and. abs(y) < urn%half_width(gated)) then
-        call change_chamber(self, i, in_gate, urn%half_width(gated), (x - urn%chord(gated))/ux)
+      if (x >= urn%chord(channel1) .and. ux > 0.0_wp .and. abs(y) < urn%half_width(channel1)) then
+        call change_chamber(self, i, in_gate, urn%half_width(channel1), (x - urn%chord(channel1)) &
+          /ux)
         call record_gate_entry(self, event_record, i, self%motion_now(i))
-      else if (x <= -urn%chord(ungated) .and. ux < 0.0_wp .and. abs(y) &
-        < urn%half_width(ungated)) then
-        call change_chamber(self, i, in_return, urn%half_width(ungated), (x &
-          + urn%chord(ungated))/ux)
+      else if (x <= -urn%chord(channel2) .and. ux < 0.0_wp &
+        .and. abs(y) < urn%half_width(channel2)) then
+        call change_chamber(self, i, in_channel2, urn%half_width(channel2), &
+          (x + urn%chord(channel2))/ux)
       else
         call reflect_overshoot(urn, x, y, ux, self%uy(i), was_beyond)
         if (.not. was_beyond) return
@@ -233,14 +236,14 @@ contains
     logical :: inward
 
     out = x_direction(self%urn(i))
-    channel = merge(gated, ungated, self%chamber(i) == in_gate)
+    channel = merge(channel1, channel2, self%chamber(i) == in_gate)
     ! Towards the line: such a particle cannot leave the channel.
     inward = facing(channel)*out*self%ux(i) < 0.0_wp
     associate (urn => self%table%urn(self%urn(i)), x => self%x(i))
       half_width = urn%half_width(channel)
       ! Distance beyond the chord, and distance to the line.
       depth = facing(channel)*(urn%channel_start(channel) - out*x)
-      ahead = merge(out*x, urn%periodic_line - out*x, channel == gated)
+      ahead = merge(out*x, urn%periodic_line - out*x, channel == channel1)
       if (.not. inward .and. depth < 0.0_wp .and. contains_point(urn, urn%centre - out*x, &
         self%y(i), 0.0_wp)) then
         ago = 0.0_wp
@@ -280,11 +283,11 @@ contains
     integer :: from
 
     from = self%urn(i)
-    self%urn(i) = int(self%table%beyond(from), int8)
+    self%urn(i) = int(self%table%urn_across(from), int8)
     if (self%urn(i) == from) then
       self%x(i) = -self%x(i)
       self%ux(i) = -self%ux(i)
-    else if (self%chamber(i) == in_return) then
+    else if (self%chamber(i) == in_channel2) then
       ! From one end of the table to the other.
       self%x(i) = self%x(i) - x_direction(from)*sum(self%table%urn%periodic_line)
     end if
@@ -318,7 +321,7 @@ contains
     self%near_wall(i) = wait <= self%time_step
   end subroutine store_motion
 
-  !> Serialises the counts and the particles.
+  !> Saves or restores the counts and the particles.
   subroutine serialize_own_state(self, archive)
     class(timestep_type), intent(inout) :: self
     type(archive_type), intent(inout) :: archive

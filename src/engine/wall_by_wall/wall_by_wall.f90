@@ -6,7 +6,7 @@
 !> the order of the events within the instant, the decision is that of the rule in `battery_gate`.
 module battery_wall_by_wall
   use battery_kinds, only: wp, int64
-  use battery_table, only: gated, ungated, in_gate
+  use battery_table, only: channel1, channel2, in_gate
   use battery_motion, only: motion_type, meets_gate, meets_line, meets_channel_wall
   use battery_bounce, only: motion_at, find_first_wall, hit_wall, pass_line, reverse_motion, &
     heads_for_middle, time_to_middle, is_trapped
@@ -36,7 +36,7 @@ module battery_wall_by_wall
     !> Wall collisions since the start.
     integer(int64) :: hits = 0
     !> Start of the window; time since then, at the present instant or at its end.
-    real(wp) :: began = 0.0_wp, since = 0.0_wp
+    real(wp) :: window_start = 0.0_wp, window_time = 0.0_wp
     !> Longest window; huge if the engine limits it otherwise.
     real(wp) :: window = huge(1.0_wp)
   contains
@@ -44,9 +44,9 @@ module battery_wall_by_wall
     procedure :: state_of, collisions, trapped
     procedure :: advance_window
     !> Processes the events of at most one window, and not beyond `duration`; sets `now` and
-    !> `since`.
+    !> `window_time`.
     procedure(process_window_interface), deferred :: process_window
-    !> Reverses a particle, which a gate turns back.
+    !> Reverses the axial velocity of a particle.
     procedure :: reverse_particle
     !> State of a particle now.
     procedure(motion_interface), deferred :: motion_now
@@ -103,13 +103,13 @@ contains
   end function longest_window
 
   !> End of a window that starts now.
-  pure function end_of_window(self, duration) result(ends)
+  pure function end_of_window(self, duration) result(window_end)
     class(wall_by_wall_type), intent(in) :: self
     !> Longest duration of the window.
     real(wp), intent(in) :: duration
-    real(wp) :: ends
+    real(wp) :: window_end
 
-    ends = min(self%now + min(duration, self%window), self%epoch)
+    window_end = min(self%now + min(duration, self%window), self%epoch)
   end function end_of_window
 
   !> Advances by one window of at most `duration`.
@@ -119,11 +119,11 @@ contains
     type(event_record_type), intent(inout) :: event_record
     integer(int64) :: hits
 
-    self%began = self%now
+    self%window_start = self%now
     hits = self%hits
     call reserve_event_record(event_record, 64, 64)
     call self%process_window(event_record, duration)
-    event_record%duration = self%since
+    event_record%duration = self%window_time
     event_record%collisions = self%hits - hits
   end subroutine advance_window
 
@@ -157,18 +157,19 @@ contains
     integer, intent(in) :: particle
     type(motion_type), intent(inout) :: motion
     real(wp), intent(out) :: wait
-    integer :: urn, chamber, met
+    integer :: urn, chamber, reached
 
     urn = motion%urn
     chamber = motion%chamber
-    met = motion%next
-    if (met >= meets_channel_wall) then
+    reached = motion%next
+    if (reached >= meets_channel_wall) then
       call hit_wall(self%table, motion, wait)
       call count_hits(self, event_record, 1_int64)
     else
       call pass_line(self%table, motion, wait)
-      if (met == meets_gate) call record_gate_entry(self, event_record, particle, motion)
-      if (met == meets_line) call record_line_crossing(self, event_record, particle, urn, chamber)
+      if (reached == meets_gate) call record_gate_entry(self, event_record, particle, motion)
+      if (reached == meets_line) call record_line_crossing(self, event_record, particle, urn, &
+        chamber)
     end if
   end subroutine process_event
 
@@ -181,7 +182,7 @@ contains
     type(motion_type), intent(in) :: motion
 
     call enter_gate(self%gate(motion%urn), self%now + time_to_middle(motion), particle)
-    if (event_record%logging) call record_event(event_record, self%since, event_entry, &
+    if (event_record%logging) call record_event(event_record, self%window_time, event_entry, &
       int(motion%urn), particle)
   end subroutine record_gate_entry
 
@@ -190,16 +191,16 @@ contains
   subroutine record_line_crossing(self, event_record, particle, urn, chamber)
     class(wall_by_wall_type), intent(inout) :: self
     type(event_record_type), intent(inout) :: event_record
-    !> Particle index; 1 or 2; `in_gate` or `in_return`.
+    !> Particle index; 1 or 2; `in_gate` or `in_channel2`.
     integer, intent(in) :: particle, urn, chamber
 
     if (chamber == in_gate) then
       call uncount_particle(self%gate(urn), particle)
-      call record_crossing(event_record, self%since, crossing_of(urn, gated), particle)
+      call record_crossing(event_record, self%window_time, crossing_of(urn, channel1), particle)
     else
-      call record_crossing(event_record, self%since, crossing_of(urn, ungated), particle)
+      call record_crossing(event_record, self%window_time, crossing_of(urn, channel2), particle)
     end if
-    if (self%table%beyond(urn) == urn) then
+    if (self%table%urn_across(urn) == urn) then
       call count_hits(self, event_record, 1_int64)
     else
       self%difference = self%difference + merge(-2, 2, urn == 1)
@@ -230,7 +231,7 @@ contains
       event_record%events)
   end subroutine end_instant
 
-  !> Lets each gate decide; if it reverses, all particles that it counts turn back.
+  !> Lets each gate decide; if it reverses, all particles that it counts are reversed.
   subroutine decide_reversals(self, event_record)
     class(wall_by_wall_type), intent(inout) :: self
     type(event_record_type), intent(inout) :: event_record
@@ -240,7 +241,7 @@ contains
     do urn = 1, 2
       call decide_reversal(self%gate(urn), reverses)
       if (.not. reverses) cycle
-      call record_reversal(event_record, self%since, urn, number_inside(self%gate(urn)))
+      call record_reversal(event_record, self%window_time, urn, number_inside(self%gate(urn)))
       do place = 1, number_inside(self%gate(urn))
         call self%reverse_particle(counted_particle(self%gate(urn), place))
       end do
@@ -248,7 +249,7 @@ contains
     end do
   end subroutine decide_reversals
 
-  !> Reverses particle `i`, which a gate turns back.
+  !> Reverses the axial velocity of particle `i`.
   subroutine reverse_particle(self, i)
     class(wall_by_wall_type), intent(inout) :: self
     integer, intent(in) :: i
@@ -279,7 +280,7 @@ contains
     total = self%hits
   end function collisions
 
-  !> Number of particles that can never leave their urn or channel.
+  !> Number of particles that never leave their urn or channel.
   function trapped(self) result(total)
     class(wall_by_wall_type), intent(in) :: self
     integer(int64) :: total
@@ -291,7 +292,7 @@ contains
     end do
   end function trapped
 
-  !> Serialises the counts.
+  !> Saves or restores the counts.
   subroutine serialize_counts(self, archive)
     class(wall_by_wall_type), intent(inout) :: self
     type(archive_type), intent(inout) :: archive

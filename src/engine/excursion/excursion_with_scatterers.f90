@@ -1,5 +1,5 @@
 !> Windows of the engine `excursion` on tables with discs in channel 2 (`battery_scatterer_visits`).
-submodule (battery_excursion) battery_excursion_scattered
+submodule (battery_excursion) battery_excursion_with_scatterers
   use battery_table, only: in_urn, in_gate
   use battery_motion, only: motion_type
   use battery_scatterer_visits, only: visit_start_at, reserve_scatterer_visits, &
@@ -10,7 +10,7 @@ submodule (battery_excursion) battery_excursion_scattered
 contains
 
   !> Loads the particles; those in channel 1 get a flight, all others a visit.
-  module procedure load_particles_scattered
+  module procedure load_particles_with_scatterers
     integer :: first, last, i, urn_index
 
     do first = 1, self%number, start_chunk
@@ -26,8 +26,8 @@ contains
             case (in_gate)
               call make_initial_flight(self%table, i, x, y, ux, uy, .true., self%flight(i), &
                 self%visits(1), self%computed_hits)
-            case (in_return)
-              call begin_scatterer_visit(self, i, visit_start_at(0.0_wp, urn_index, in_return, &
+            case (in_channel2)
+              call begin_scatterer_visit(self, i, visit_start_at(0.0_wp, urn_index, in_channel2, &
                 urn%periodic_line - abs(x), y, urn%axis_sign*ux, uy), 0_int64)
             case default
               call begin_scatterer_visit(self, i, visit_start_at(0.0_wp, urn_index, in_urn, &
@@ -41,7 +41,7 @@ contains
       call compute_scatterer_visits(self%scatterer_visits, self%table, huge(1.0_wp))
       call store_scatterer_flights(self%scatterer_visits, self%flight, self%computed_hits)
     end do
-  end procedure load_particles_scattered
+  end procedure load_particles_with_scatterers
 
   !> Starts a visit of particle `i`, after `hits` wall hits in a channel.
   subroutine begin_scatterer_visit(self, i, visit_start, hits)
@@ -62,8 +62,8 @@ contains
 
     associate (v => self%visits(1))
       do j = 1, v%count
-        chamber = merge(in_urn, in_return, v%channel(j) == gated)
-        x = merge(self%table%urn(v%urn(j))%chord(gated), 0.0_wp, v%channel(j) == gated)
+        chamber = merge(in_urn, in_channel2, v%channel(j) == channel1)
+        x = merge(self%table%urn(v%urn(j))%chord(channel1), 0.0_wp, v%channel(j) == channel1)
         call begin_scatterer_visit(self, v%particle(j), visit_start_at(v%time(j), v%urn(j), &
           chamber, x, v%y(j), v%u_axial(j), v%u_lateral(j)), int(v%hits(j), int64))
       end do
@@ -90,15 +90,15 @@ contains
   !> Computes visits until each ends after the window, or at a gate. A particle that crosses the
   !> periodic line within the window starts another visit in it. The gates take no part: by the
   !> lookahead, no particle enters one before the window ends.
-  module procedure compute_window_visits_scattered
-    integer :: j, i, again, later, first
+  module procedure compute_window_visits_with_scatterers
+    integer :: j, i, continued_count, ended_count, first
     integer, allocatable :: due_particle(:)
     real(wp), allocatable :: due(:)
 
     first = event_record%crossings
     call resume_truncated_visits(self)
     associate (v => self%visits(1), scatterer_visits => self%scatterer_visits)
-      call load_flights(self%number, self%flight, v%count, v%particle, v%turned, v%passage, &
+      call load_flights(self%number, self%flight, v%count, v%particle, v%reversal_time, v%passage, &
         v%time, v%y, v%u_axial, v%u_lateral)
       call cross_channels(self%table%urn(1), v)
       call reserve_scatterer_visits(scatterer_visits, v%count + self%resumed_count)
@@ -111,51 +111,53 @@ contains
       do while (scatterer_visits%count > 0)
         call compute_scatterer_visits(scatterer_visits, self%table, huge(1.0_wp))
         call store_scatterer_flights(scatterer_visits, self%flight, self%computed_hits)
-        again = 0
-        later = 0
+        continued_count = 0
+        ended_count = 0
         do j = 1, scatterer_visits%count
-          associate (at => scatterer_visits%visit(j))
-            if (at%now%time < ends .and. any(at%next_event == [to_return, partial_visit])) then
-              call continue_within_window(self, j, again, began, event_record)
+          associate (visit => scatterer_visits%visit(j))
+            if (visit%now%time < window_end .and. any(visit%next_event == [to_periodic_line, &
+              partial_visit])) then
+              call continue_within_window(self, j, continued_count, window_start, event_record)
             else
-              later = later + 1
-              due_particle(later) = at%particle
-              due(later) = self%flight(at%particle)%due
+              ended_count = ended_count + 1
+              due_particle(ended_count) = visit%particle
+              due(ended_count) = self%flight(visit%particle)%due
             end if
           end associate
         end do
-        call schedule_events(self%calendar, later, due_particle, due)
-        scatterer_visits%count = again
+        call schedule_events(self%calendar, ended_count, due_particle, due)
+        scatterer_visits%count = continued_count
       end do
     end associate
     if (event_record%crossings > first) call sort_event_record(event_record)
-  end procedure compute_window_visits_scattered
+  end procedure compute_window_visits_with_scatterers
 
-  !> Starts the next visit of a particle whose visit, number `j` of the batch, ended at the line or
-  !> was truncated within the window; the new visit becomes number `again` + 1 of the batch.
-  subroutine continue_within_window(self, j, again, began, event_record)
+  !> Starts the next visit of a particle whose visit, number `j` of the batch, ended at the
+  !> periodic line or was truncated within the window. The new visit becomes number
+  !> `continued_count` + 1 of the batch; `continued_count` is increased.
+  subroutine continue_within_window(self, j, continued_count, window_start, event_record)
     type(excursion_type), intent(inout) :: self
     integer, intent(in) :: j
-    integer, intent(inout) :: again
+    integer, intent(inout) :: continued_count
     !> Start of the window.
-    real(wp), intent(in) :: began
+    real(wp), intent(in) :: window_start
     type(event_record_type), intent(inout) :: event_record
     type(motion_type) :: visit_start
     integer :: i
 
-    associate (at => self%scatterer_visits%visit(j))
-      i = at%particle
-      visit_start = at%now
-      if (at%next_event == to_return) then
-        call record_crossing(event_record, visit_start%time - began, &
-          crossing_of(int(visit_start%urn), ungated), i)
-        visit_start = visit_start_at(visit_start%time, self%table%beyond(visit_start%urn), &
-          in_return, 0.0_wp, at%y, at%u_axial, at%u_lateral)
+    associate (visit => self%scatterer_visits%visit(j))
+      i = visit%particle
+      visit_start = visit%now
+      if (visit%next_event == to_periodic_line) then
+        call record_crossing(event_record, visit_start%time - window_start, &
+          crossing_of(int(visit_start%urn), channel2), i)
+        visit_start = visit_start_at(visit_start%time, self%table%urn_across(visit_start%urn), &
+          in_channel2, 0.0_wp, visit%y, visit%u_axial, visit%u_lateral)
       end if
     end associate
-    self%scatterer_visits%count = again
+    self%scatterer_visits%count = continued_count
     call begin_scatterer_visit(self, i, visit_start, 0_int64)
-    again = again + 1
+    continued_count = continued_count + 1
   end subroutine continue_within_window
 
-end submodule battery_excursion_scattered
+end submodule battery_excursion_with_scatterers

@@ -1,23 +1,23 @@
-!> A chamber: region of the table in which a visit takes place, and where particles do not interact.
+!> Base type of all shapes of urns: the quantities that every shape provides, and the passage of a
+!> batch of visits through the straight channels before the openings.
 !>
-!> A chamber is an urn of any shape with the straight half channels before its openings. A visit is
-!> a pure function from entry (opening, position, direction) to exit (opening, position, direction,
-!> duration, hits). Each shape computes it in its own way: the disc by rotation and search, others
-!> from wall to wall. This module has the quantities that every shape provides; `battery_urn`
-!> dispatches its procedures.
+!> Particles do not interact in an urn. A passage through it is a pure function from entry (opening,
+!> position, direction) to exit (opening, position, direction, duration, hits). Each shape computes
+!> it in its own way: the disc by rotation and search, others from wall to wall. `battery_urn`
+!> dispatches the procedures of the shapes.
 !>
 !> Frame of either urn: the origin lies between the openings, channel 1 at +x, channel 2 at -x (urn
 !> 2 is mirrored). A channel starts at a chord perpendicular to the axis.
-module battery_chamber
+module battery_urn_shape
   use battery_kinds, only: wp, int64, pi
-  use battery_channel, only: channel_type, gated, ungated, fold_into_channel
+  use battery_channel, only: channel_type, channel1, channel2, fold_into_channel
   use battery_visits, only: visits_type, group_size
   implicit none (type, external)
   private
-  public :: chamber_type, set_openings, mean_visit, cross_channels
+  public :: urn_shape_type, set_openings, mean_urn_passage, cross_channels
 
   !> What every shape provides; lengths in the unit of the table.
-  type :: chamber_type
+  type :: urn_shape_type
     !> By channel: distance of its chord from the origin, its width, half its width, its length.
     real(wp), dimension(2) :: chord = 0.0_wp, width = 0.0_wp, half_width = 0.0_wp, length = 0.0_wp
     !> Whether the openings fit; whether the urn extends beside or over a channel.
@@ -30,38 +30,38 @@ module battery_chamber
     !> A time step below this is small compared with the urn, and leads across no wall from one part
     !> of the urn into another.
     real(wp) :: longest_step = 0.0_wp
-    !> A path through the urn is at least as long as the depths of its two openings together, which
-    !> may be the same opening.
+    !> A passage through the urn is at least as long as the depths of its two openings together,
+    !> which may be the same opening.
     real(wp) :: depth(2) = 0.0_wp
-    !> Whether long visits are truncated (`truncated` of `battery_visits`).
+    !> Whether passages with very many hits are truncated (`truncated` of `battery_visits`).
     logical :: truncates_visits = .false.
-  end type chamber_type
+  end type urn_shape_type
 
 contains
 
   !> Sets the channels at the openings.
-  pure subroutine set_openings(chamber, channel)
-    class(chamber_type), intent(inout) :: chamber
-    !> Channels by `gated` and `ungated`.
+  pure subroutine set_openings(shape, channel)
+    class(urn_shape_type), intent(inout) :: shape
+    !> Channels by `channel1` and `channel2`.
     type(channel_type), intent(in) :: channel(2)
 
-    chamber%width = channel%width
-    chamber%half_width = 0.5_wp*channel%width
-    chamber%length = channel%length
+    shape%width = channel%width
+    shape%half_width = 0.5_wp*channel%width
+    shape%length = channel%length
   end subroutine set_openings
 
-  !> Mean length of a visit to an urn that particles enter uniformly through its openings.
-  pure function mean_visit(chamber) result(time)
-    class(chamber_type), intent(in) :: chamber
+  !> Mean length of the passages through an urn that particles enter uniformly through its openings.
+  pure function mean_urn_passage(shape) result(time)
+    class(urn_shape_type), intent(in) :: shape
     real(wp) :: time
 
-    time = pi*chamber%area/(chamber%width(gated) + chamber%width(ungated))
-  end function mean_visit
+    time = pi*shape%area/(shape%width(channel1) + shape%width(channel2))
+  end function mean_urn_passage
 
-  !> Moves a batch of visits from the entrance of their channel to its exit into the urn: an
+  !> Moves a batch of visits from the entrance of their channel to its end at the urn: an
   !> unfolded channel is crossed in one step, see `fold_into_channel`.
-  subroutine cross_channels(chamber, visits)
-    class(chamber_type), intent(in) :: chamber
+  subroutine cross_channels(shape, visits)
+    class(urn_shape_type), intent(in) :: shape
     type(visits_type), intent(inout) :: visits
 
     call cross_straight_channels(group_size*((visits%count + group_size - 1)/group_size), &
@@ -81,22 +81,22 @@ contains
       real(wp) :: width1, width2, chord1, chord2
       integer :: j
 
-      width1 = chamber%width(gated)
-      width2 = chamber%width(ungated)
-      chord1 = chamber%chord(gated)
-      chord2 = chamber%chord(ungated)
+      width1 = shape%width(channel1)
+      width2 = shape%width(channel2)
+      chord1 = shape%chord(channel1)
+      chord2 = shape%chord(channel2)
       do j = 1, n
-        width = merge(width1, width2, channel(j) == gated)
+        width = merge(width1, width2, channel(j) == channel1)
         unfolded = y(j) + u_lateral(j)*passage(j)
         call fold_into_channel(unfolded, width, y(j), reflected, passed)
         u_lateral(j) = reflected*u_lateral(j)
         time(j) = time(j) + passage(j)
-        x(j) = merge(chord1, -chord2, channel(j) == gated)
-        u_axial(j) = merge(-u_axial(j), u_axial(j), channel(j) == gated)
+        x(j) = merge(chord1, -chord2, channel(j) == channel1)
+        u_axial(j) = merge(-u_axial(j), u_axial(j), channel(j) == channel1)
         hits(j) = passed
       end do
     end subroutine cross_straight_channels
 
   end subroutine cross_channels
 
-end module battery_chamber
+end module battery_urn_shape
