@@ -102,7 +102,8 @@ contains
     epoch = power_above(4.0_wp*interval)
   end function epoch_for
 
-  !> Schedules the event of `particle` at `time`.
+  !> Schedules the event of `particle` at `time`: sets `due` of its flight, and puts it into the
+  !> calendar.
   pure subroutine schedule_event(calendar, flight, particle, time)
     type(calendar_type), intent(inout) :: calendar
     type(flight_type), intent(inout) :: flight(:)

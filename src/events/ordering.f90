@@ -1,7 +1,7 @@
 !> Sorts short lists of events by time, and events at the same time by number.
 !>
 !> Branch prediction fails on comparisons of random times, so the kernel has none: the place of an
-!> event is the number of earlier ones, and counting has no branches.
+!> event in the sorted list is the number of earlier ones, and counting has no branches.
 module battery_ordering
   use battery_kinds, only: wp, int64
   implicit none (type, external)
@@ -84,8 +84,8 @@ contains
     end do
   end subroutine sort_in_bins
 
-  !> Sorts a list no longer than `longest_counted`: the place of an event is the number of earlier
-  !> events.
+  !> Sorts a list no longer than `longest_counted`: the place of an event in the sorted list is the
+  !> number of earlier events; at one time, of those with lower numbers.
   pure subroutine order_by_counting(n, time, number)
     integer, intent(in) :: n
     real(wp), intent(inout) :: time(n)

@@ -116,7 +116,7 @@ contains
     queue%particle(at) = particle
   end subroutine sift_up_last
 
-  !> Removes the first particle of the queue, which is not empty.
+  !> Removes the particle with the earliest time from the queue, which is not empty.
   pure subroutine pop(queue, particle)
     type(queue_type), intent(inout) :: queue
     !> Index of the particle removed.

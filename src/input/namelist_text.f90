@@ -343,7 +343,7 @@ contains
     end do
   end subroutine skip_blanks
 
-  !> Skips the rest of a line up to its end.
+  !> Skips the rest of a line; the line end itself is not skipped.
   pure subroutine skip_line(reader)
     type(reader_type), intent(inout) :: reader
 

@@ -57,11 +57,11 @@ contains
     end if
   end subroutine read_file
 
-  !> Reads a whole file or pipe, up to `most` bytes.
-  subroutine read_input(path, most, text, error)
+  !> Reads a whole file or pipe, up to `max_bytes` bytes.
+  subroutine read_input(path, max_bytes, text, error)
     !> Path of a file or a pipe.
     character(len=*), intent(in) :: path
-    integer(int64), intent(in) :: most
+    integer(int64), intent(in) :: max_bytes
     !> Bytes of the file, up to the error if there is one.
     character(len=:), allocatable, intent(out) :: text
     !> The input cannot be read; code `exit_stopped_early` if a signal came while the pipe was
@@ -82,7 +82,7 @@ contains
       call fatal_error(error, path//': cannot be read: '//system_message())
       return
     end if
-    allocate (character(len=max(least_room, min(c_size_of(descriptor) + 1, most))) :: larger)
+    allocate (character(len=max(least_room, min(c_size_of(descriptor) + 1, max_bytes))) :: larger)
     call move_alloc(larger, text)
     filled = 0
     do
@@ -94,10 +94,10 @@ contains
       length = c_read_some(descriptor, text(filled + 1:), len(text, int64) - filled)
       if (length > 0) filled = filled + length
       if (length == not_yet .and. .not. stop_requested()) cycle
-      if (length <= 0 .or. filled > most) exit
+      if (length <= 0 .or. filled > max_bytes) exit
     end do
-    if (filled > most) then
-      call fatal_error(error, path//': does not end after '//to_text(most)//' bytes')
+    if (filled > max_bytes) then
+      call fatal_error(error, path//': does not end after '//to_text(max_bytes)//' bytes')
     else if (length == not_yet) then
       call fatal_error(error, path//': stopped while nothing came out of it', exit_stopped_early)
     else if (length /= at_end) then

@@ -139,6 +139,7 @@ contains
     end select
   end subroutine read_option
 
+  !> Adds a line to a list of problems.
   pure subroutine add(problems, text)
     character(len=:), allocatable, intent(inout) :: problems
     character(len=*), intent(in) :: text

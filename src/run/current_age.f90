@@ -249,7 +249,8 @@ contains
     transient = unit*real(ceiling(transient/unit), dp)
   end function transient_for
 
-  !> A fraction in per cent with two digits: `0.31`, `1.2`, `12`.
+  !> A fraction as text in per cent, with two decimals below 1, else with one: `0.31`, `1.2`,
+  !> `12.3`.
   pure function percent_text(part) result(text)
     real(dp), intent(in) :: part
     character(len=:), allocatable :: text

@@ -323,6 +323,7 @@ contains
     end do
   end function differing_keys
 
+  !> A value as in the list of keys that differ; `not given` if it is empty.
   pure function value_text(canonical) result(text)
     character(len=*), intent(in) :: canonical
     character(len=:), allocatable :: text

@@ -198,6 +198,7 @@ contains
 
   contains
 
+    !> Puts the value that `key` has at this point of the scan before `text`, if it is scanned.
     pure subroutine prepend_value(text, key, all)
       character(len=:), allocatable, intent(inout) :: text
       character(len=*), intent(in) :: key

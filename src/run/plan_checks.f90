@@ -18,6 +18,7 @@ submodule (battery_plan) battery_plan_checks
 
 contains
 
+  !> Fills in what follows from other keys, and checks the whole plan, each point of its scan too.
   module procedure complete_plan
     integer :: before
 

@@ -68,7 +68,8 @@ contains
     deallocate (self%due)
   end subroutine begin_tournament
 
-  !> Processes the events of a window of at most `duration`, one particle at a time.
+  !> Processes the events of a window, one particle at a time. It lasts `duration`, or less if the
+  !> longest window or the epoch ends before, or after `most_hits` wall hits.
   subroutine process_window(self, event_record, duration)
     class(collision_type), intent(inout) :: self
     type(event_record_type), intent(inout) :: event_record

@@ -103,7 +103,8 @@ contains
     call move_all_particles(self, 0.0_wp)
   end subroutine load_particles
 
-  !> Processes the events of a window of at most `duration`.
+  !> Processes the events of a window, moving all particles to each event. It lasts `duration`, or
+  !> less if the longest window or the epoch ends before, or after `most_hits` wall hits.
   subroutine process_window(self, event_record, duration)
     class(synchronous_type), intent(inout) :: self
     type(event_record_type), intent(inout) :: event_record

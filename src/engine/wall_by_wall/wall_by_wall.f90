@@ -187,7 +187,7 @@ contains
   end subroutine record_gate_entry
 
   !> Records the crossing of a line: a particle from `chamber` of `urn` has reached the line of its
-  !> channel.
+  !> channel. The middle line of a single urn is a wall: reaching it is also counted as a wall hit.
   subroutine record_line_crossing(self, event_record, particle, urn, chamber)
     class(wall_by_wall_type), intent(inout) :: self
     type(event_record_type), intent(inout) :: event_record
