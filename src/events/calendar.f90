@@ -24,12 +24,13 @@ module battery_calendar
     real(wp) :: due
     !> Kind of the particle's next event (`battery_flight`); the urn that it leaves, 1 or 2.
     integer(int16) :: next_event, urn
-    !> Slot of the next visit, if it was computed ahead; else 0.
+    !> Slot of the next visit, if it is precomputed (`battery_precomputed_visits`); else 0.
     integer(int32) :: precomputed_slot
     !> Time, height, |u_x| and u_y at the entry into the next channel, or into the channel that the
     !> particle is in.
     real(wp) :: time, y, u_axial, u_lateral
-    !> Time through the channel if no gate reverses, and length of the visit before it.
+    !> Time through the channel if no gate reverses, and length of the passage through the
+    !> urn before it.
     real(wp) :: through, length
   end type flight_type
 

@@ -1,4 +1,4 @@
-!> The billiard table: two urns, a gated channel, and a channel that closes the circuit.
+!> The billiard table: two urns, channel 1 with the gates, and channel 2, which closes the circuit.
 !>
 !> **Coordinates.** The origin is the middle of channel 1, x runs along it, urn 1 lies at x < 0. A
 !> channel is attached to an urn at the chord that is as long as the channel is wide. The unit of

@@ -278,7 +278,7 @@ contains
     self%resumed_count = 0
     if (self%partial_count > 0 .or. self%has_scatterers) call split_off_partial_visits( &
       self%number, self%flight, self%calendar%due_time, self%calendar%particle, event_count, &
-      self%resumed_count,       self%resumed_time, self%resumed)
+      self%resumed_count, self%resumed_time, self%resumed)
     counted = number_inside(self%gate)
     call reserve_visits(self%visits(1), event_count + sum(counted) + most_precomputed_visits)
     call reserve_event_record(event_record, event_count + sum(counted), 0)

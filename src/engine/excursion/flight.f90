@@ -6,7 +6,7 @@
 !> flat arrays, a flight being one cache line), and yields the position at any time between
 !> (`locate_particle`). Earlier positions are computed backwards from it; for long visits the start
 !> is stored as well (`battery_long_visits`). `flight_type` is declared in `battery_calendar`, which
-!> links the flights of a bucket.
+!> uses its time `due`.
 module battery_flight
   use, intrinsic :: iso_c_binding, only: c_loc, c_size_t
   use battery_kinds, only: wp, int16, int64

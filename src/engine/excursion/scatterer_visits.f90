@@ -127,8 +127,8 @@ contains
       do j = 1, open
         scatterer_visits%open(still_open + 1) = scatterer_visits%open(j)
         associate (visit => scatterer_visits%visit(scatterer_visits%open(j)))
-          if (visit%next_event == undetermined &
-            .and. visit%now%time < limit) still_open = still_open + 1
+          if (visit%next_event == undetermined .and. visit%now%time < limit) &
+            still_open = still_open + 1
         end associate
       end do
       open = still_open
@@ -162,8 +162,8 @@ contains
       do k = 1, open
         j = scatterer_visits%open(k)
         associate (visit => scatterer_visits%visit(j))
-          if (visit%now%chamber /= in_urn .or. visit%now%urn < first &
-            .or. visit%now%urn > last) cycle
+          if (visit%now%chamber /= in_urn) cycle
+          if (visit%now%urn < first .or. visit%now%urn > last) cycle
           v%count = v%count + 1
           v%particle(v%count) = j
           v%x(v%count) = visit%now%x

@@ -94,8 +94,8 @@ contains
   end subroutine draw_exits
 
   !> Initial state of a particle, from its position and velocity at the time 0. If it is in a
-  !> channel and heads for the far end, its entry into the channel is dated back; otherwise
-  !> `entered` is the time at which it enters its urn.
+  !> channel and heads for the far end, `stay` holds its entry into the channel, which lies in the
+  !> past; otherwise `entered` is the time at which it enters its urn.
   pure subroutine make_initial_stay(table, x, y, ux, uy, stay, entered)
     type(table_type), intent(in) :: table
     !> Position in the frame of the table, lengths; velocity, of length 1.
