@@ -63,8 +63,7 @@ contains
       quantity_type('flow2_21', '1/time', &
       'crossings per unit time of the periodic line of channel 2 from urn 2 to urn 1'), &
       quantity_type('time', 'time', 'time of the run, the transient included'), &
-      quantity_type('transient_time', 'time', &
-      'length of the transient, which no average includes'), &
+      quantity_type('transient_time', 'time', 'length of the transient; averages omit it'), &
       quantity_type('cpu_seconds', 's', 'processor time'), &
       quantity_type('provenance/begun', since_1970, 'when the task began or was last resumed'), &
       quantity_type('provenance/ended', since_1970, 'when the task ended')]
