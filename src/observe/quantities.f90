@@ -55,17 +55,17 @@ contains
       quantity_type('polarised_current', '1/time', &
       'current of channel 2 from the fuller half to the emptier', has_error=.true.), &
       quantity_type('flow1_12', '1/time', &
-      'crossings of the middle line of channel 1 from urn 1 to urn 2'), &
+      'crossings per unit time of the middle line of channel 1 from urn 1 to urn 2'), &
       quantity_type('flow1_21', '1/time', &
-      'crossings of the middle line of channel 1 from urn 2 to urn 1'), &
+      'crossings per unit time of the middle line of channel 1 from urn 2 to urn 1'), &
       quantity_type('flow2_12', '1/time', &
-      'crossings of the periodic line of channel 2 from urn 1 to urn 2'), &
+      'crossings per unit time of the periodic line of channel 2 from urn 1 to urn 2'), &
       quantity_type('flow2_21', '1/time', &
-      'crossings of the periodic line of channel 2 from urn 2 to urn 1'), &
+      'crossings per unit time of the periodic line of channel 2 from urn 2 to urn 1'), &
       quantity_type('time', 'time', 'time of the run, the transient included'), &
-      quantity_type('transient_time', 'time', 'time of the transient, which no average has'), &
-      quantity_type('cpu_seconds', 's', 'time of the processor'), &
-      quantity_type('provenance/begun', since_1970, 'when the task began or last went on'), &
+      quantity_type('transient_time', 'time', 'length of the transient; averages omit it'), &
+      quantity_type('cpu_seconds', 's', 'processor time'), &
+      quantity_type('provenance/begun', since_1970, 'when the task began or was last resumed'), &
       quantity_type('provenance/ended', since_1970, 'when the task ended')]
   end function averaged_quantities
 
@@ -76,7 +76,7 @@ contains
     list = [ &
       quantity_type('collisions', '1', 'wall collisions, those of the transient included'), &
       quantity_type('bounce_backs', '1', &
-      'particles turned back by gates, the transient included'), &
+      'particles reversed by gates, those of the transient included'), &
       quantity_type('reversals', '1', 'reversals of gates, those of the transient included'), &
       quantity_type('trapped', '1', 'particles that never leave their urn or channel'), &
       quantity_type('provenance/host', '1', 'line of the attribute hosts of /provenance, from 0')]

@@ -140,7 +140,7 @@ contains
       'the run stops cleanly before this time; 0: no limit', least=0.0_wp, unit='min', &
       decides=.false.), &
       key_type('limits', 'checkpoint_minutes', real_key, '10', &
-      'how often long tasks save their state', least=0.0_wp, unit='min', decides=.false.)]
+      'interval at which long tasks save their state', least=0.0_wp, unit='min', decides=.false.)]
   end function keys_behind_scan
 
   !> The list and the range of a key that can be scanned, with the bounds and the unit of the key;

@@ -302,7 +302,7 @@ contains
     associate (p => results%point)
       call write_dataset(file, '/number', p%number, '1', 'particles N', error, by_point)
       call write_dataset(file, '/threshold', p%threshold(1), '1', &
-        'threshold T of gate 1: a gate reverses when more particles head for the other', error, &
+        'threshold T of gate 1: a gate reverses when it counts more than T particles', error, &
         by_point)
       call write_dataset(file, '/urn1_number', p%urn1_number, '1', &
         'particles in urn 1 at the start', error, by_point)

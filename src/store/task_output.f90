@@ -127,7 +127,7 @@ contains
     do k = 1, 4
       associate (flow => list(place_of(flow_names(k), list)))
         call prepare_dataset(file, '/series/'//trim(flow%name), extents, unknown_real(), &
-          trim(flow%unit), trim(flow%meaning)//', since the entry before', error, by_time, &
+          trim(flow%unit), trim(flow%meaning)//', since the previous entry', error, by_time, &
           output_datasets%flow(k))
       end associate
     end do
@@ -286,7 +286,7 @@ contains
     call write_dataset(file, '/events/where', task_output%events(n + 1:2*n), '1', &
       'gate (1 or 2), or direction of a crossing (12 or 21)', error, by_event)
     call write_dataset(file, '/events/particle', task_output%events(2*n + 1:3*n), '1', &
-      'particle, from 1; where a gate reverses, how many turn back', error, by_event)
+      'particle, from 1; of a reversal, how many particles it reverses', error, by_event)
   end subroutine write_events
 
   !> Writes a dimension scale with the coordinates `first`, `first` + 1, ... Does nothing after an
