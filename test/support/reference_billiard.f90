@@ -1,6 +1,5 @@
 !> Reference simulation of the billiard: all particles are moved from wall hit to wall hit, with
-!> more digits than the program has. Urns are discs. It shares the table with the program, and no
-!> code.
+!> more digits than the program has. Urns are discs. It shares only the table with the program.
 module reference_billiard
   use battery_kinds, only: wp, dp, int64
   use battery_table, only: table_type, chamber_at, urn_at, in_urn, in_gate, x_direction
