@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 __version__ = "0.3.0"
 __all__ = ["RunError", "__version__", "open_results", "run", "write_namelist"]
 
-# Imported when they are asked for: commands that need no xarray start without it.
+# Imported at their first use, so that commands that need no xarray start without it.
 _PLACES = {
     "open_results": "postproc.reading.grid",
     "RunError": "postproc.running",
@@ -26,7 +26,7 @@ _PLACES = {
 
 
 def __getattr__(name: str) -> object:
-    """Return what the package offers by name."""
+    """Return a public name of the package, imported at its first use."""
     if name not in _PLACES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     return getattr(importlib.import_module(_PLACES[name]), name)

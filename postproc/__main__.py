@@ -13,15 +13,15 @@ from pathlib import Path
 
 from postproc import __version__, cli
 
-# What starts the program, as postproc.run does, and what calls all that `make build` makes, in a
-# checkout.
+# Commands that start the program, as postproc.run does, and commands that call all programs of
+# `make build`, in a checkout.
 STARTING = ("advise",)
 NEED_PROGRAM = ("accuracy", "benchmarks", "renewal_fit", "scaling")
 PLACE = Path(__file__).resolve().parent
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Run the command that is named, with the arguments behind it."""
+    """Run the named command with the arguments that follow it."""
     found = commands()
     options = cli.Parser(
         prog=cli.COMMAND, description=description(found),
@@ -35,7 +35,7 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def commands() -> dict[str, str]:
-    """Return the module of each command, by its name: those that have a `main`."""
+    """Return the module of each command by its name: the modules that have a `main`."""
     files = {path.stem: path for path in PLACE.glob("*.py") if path.stem != "__main__"}
     files |= {path.parent.name: path for path in PLACE.glob("*/__main__.py")}
     return {
@@ -46,12 +46,12 @@ def commands() -> dict[str, str]:
 
 
 def description(found: dict[str, str]) -> str:
-    """Return what the commands do, one line each: the first of their docstrings."""
+    """Return a line for each command: the first line of its docstring."""
     lines: dict[bool | None, list[str]] = {True: [], False: [], None: []}
     for name, module in found.items():
         path = PLACE.joinpath(*module.split(".")[1:]).with_suffix(".py")
-        told = (ast.get_docstring(_tree(path)) or "").split("\n", 1)[0]
-        lines[None if name in STARTING else name in NEED_PROGRAM].append(f"  {name:12s} {told}")
+        summary = (ast.get_docstring(_tree(path)) or "").split("\n", 1)[0]
+        lines[None if name in STARTING else name in NEED_PROGRAM].append(f"  {name:12s} {summary}")
     return "\n".join([
         "Results, theory, figures, film and report of the program battery.",
         "", "Without the program, from results files or none:", *lines[False],

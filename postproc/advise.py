@@ -1,14 +1,15 @@
-"""Which theory or run is good enough for a quantity of one circuit: rung, length, cost, as JSON.
+"""Advises a theory or run that is accurate enough for a quantity of one circuit, as JSON.
 
-A namelist, or the circuit by options as of `theory` (--number N --threshold T ...). A pilot of the
-program, a second or so at N = 1000, tells how much replicas scatter and how far off theories are;
-one that would take more than a minute is run only if --pilot-seconds lets it. The pilot of a
-current waits until what circulations still lack is a quarter of the tolerance. It is data:
-where it meets the tolerance its value (`expected`) is the answer, and cpu_seconds is 0.
-Last line, to standard error: the advice in a sentence. `duration` includes the transient, as in the
-namelist. `confidence` is the chance that the tolerance is met. Where the quantity is not there,
-`rung` is "none". What an urn's polygon or scatterers do is beyond these theories, so such namelists
-are refused, and so are scans of several points.
+Input is a namelist, or the circuit by options as of `theory` (--number N --threshold T ...). A
+pilot of the program, about a second at N = 1000, shows the scatter of replicas and the errors of
+theories; one that would take more than a minute is run only if --pilot-seconds allows it. The
+transient of the pilot of a current lasts until the part missing since circulations still build up
+is a quarter of the tolerance. The pilot is data: if it meets the tolerance its value (`expected`)
+is the answer, and cpu_seconds is 0.
+The last line, on standard error, is the advice in a sentence. `duration` includes the transient, as
+in the namelist. `confidence` is the probability that the tolerance is met. If the quantity does not
+exist, `rung` is "none". These theories have no polygons and no scatterers, so such namelists are
+refused, and so are scans of several points.
 """
 
 from __future__ import annotations
@@ -50,7 +51,7 @@ def _add(options: argparse.ArgumentParser) -> None:
 
 
 def circuit_of(path: Path) -> tuple[Groups, Circuit]:
-    """Return what a namelist says of one circuit: table, particles and gate, and the circuit."""
+    """Return the groups table, particles and gate of a namelist of one circuit, and the circuit."""
     try:
         groups = f90nml.read(cli.existing_file(path)).todict()
     except (ValueError, StopIteration, AssertionError, UnicodeDecodeError) as problem:
@@ -91,7 +92,7 @@ def circuit_of(path: Path) -> tuple[Groups, Circuit]:
 
 
 def sentence(given: Advice, quantity: str, tolerance: float) -> str:
-    """Return the advice in words."""
+    """Return the advice as a sentence."""
     if given.rung == "none":
         return given.reason
     chance = min(99.0, 100.0 * given.confidence)

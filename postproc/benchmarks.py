@@ -1,13 +1,14 @@
-"""Benchmarks: the speed tables, what must be reached, and what changed since.
+"""Benchmarks: tables of the speed, required figures, and changes.
 
 `run` (`make bench`) lets build/bin/bench print its tables, takes the peak memory of a run of 1e7
 particles, counts instructions where valgrind is installed, prints the figures beside their bounds
 and writes everything as JSON in build/bench. All times are taken by the Fortran program itself,
 processor time.
 `compare OLD.json NEW.json` prints the ratio of each figure of two such files with its spread: from
-the least of one file's rounds over the greatest of the other's to the reverse. What is wholly off 1
-is marked. Rounds of one run share the state of the machine: between two runs of the same program on
-a shared machine all rates may differ alike, costs relative to a row of the same run do not.
+the least of one file's rounds over the greatest of the other's to the reverse. Ranges that exclude
+1 are marked. Rounds of one run share the state of the machine: between two runs of the same program
+on a shared machine all rates may change by the same factor, costs relative to a row of the same run
+do not.
 `compare` of no file or of more than two prints the history: medians of all of build/bench, or of
 these files, side by side.
 `ratios BASE` (`make bench BASE=COMMIT`) runs another build of `bench` and the present one in turn,
@@ -33,7 +34,7 @@ BENCH = ROOT / "build/bench"
 
 
 def compare(old: Path, new: Path, console: Console) -> None:
-    """Print what changed between two files."""
+    """Print the changes between two files."""
     before, after = load(old), load(new)
     found = changes(before, after)
     for name, one in (("old", before), ("new", after)):

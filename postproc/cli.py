@@ -1,4 +1,4 @@
-"""What every command line of the package shares: one-line errors, exit 2, places to write to."""
+"""Shared by all command lines of the package: one-line errors, exit 2, output folders."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ EXIT_BAD_INPUT = 2
 COMMAND = "battery-postproc"  # all commands as one, where the package is installed
 
 
-# Becomes the program that it is given, once the system knows to stop that when Python is gone.
-# The process that Python starts does this, for between fork and exec nothing of Python is safe.
+# Asks the system for a signal when the parent, Python, ends, and then replaces itself by the given
+# program. A process of its own does this, since no Python code is safe between fork and exec.
 ENDED_WITH = """
 import ctypes, os, signal, sys
 parent, *command = sys.argv[1:]
@@ -37,18 +37,18 @@ except OSError as problem:
 
 
 class InputError(ValueError):
-    """What the user gave cannot be used; the message is one line that says why."""
+    """Input of the user cannot be used; the message is one line with the reason."""
 
 
 class Parser(argparse.ArgumentParser):
-    """Argument parser that answers a bad command line with one line and exit 2."""
+    """Argument parser that ends with one line and exit 2 at an invalid command line."""
 
     def error(self, message: str) -> NoReturn:
-        """Print one line, leave with exit 2."""
+        """Print one line and end with exit 2."""
         self.exit(EXIT_BAD_INPUT, f"{self.prog}: error: {message} (--help explains)\n")
 
     def _print_message(self, message: str, file: IO[str] | None = None) -> None:
-        """Print help; where argparse passes over a full device, `run` says so."""
+        """Print help; argparse ignores a full device, which `run` reports as an error."""
         (file or sys.stderr).write(message)
         (file or sys.stderr).flush()
 
@@ -64,7 +64,7 @@ def parser(name: str, description: str | None) -> Parser:
 
 
 def add_output(options: argparse.ArgumentParser) -> None:
-    """Add `--output DIR`, by default the folder the command is called from."""
+    """Add `--output DIR`, by default the current folder."""
     options.add_argument(
         "--output", metavar="DIR", type=Path, default=Path(), help="folder to write to (default: .)"
     )
@@ -74,12 +74,12 @@ def add_task(options: argparse.ArgumentParser) -> None:
     """Add a file of results, and `--point` and `--replica` that choose a task in it."""
     options.add_argument("file", metavar="FILE.h5", type=Path)
     for key, meaning in (("point", "parameter point"), ("replica", "replica")):
-        told = f"{meaning}, from 1 (default: the first done)"
-        options.add_argument(f"--{key}", type=integer(1), help=told)
+        help_text = f"{meaning}, from 1 (default: the first done)"
+        options.add_argument(f"--{key}", type=integer(1), help=help_text)
 
 
 def existing_file(path: Path) -> Path:
-    """Return `path`, which must be that of a file: a pipe or a device may have no end."""
+    """Return `path`, which must be a regular file, since a pipe or a device may have no end."""
     try:
         there = path.exists()
     except OSError as problem:
@@ -94,24 +94,23 @@ def existing_file(path: Path) -> Path:
 
 
 def path_of(value: object, name: str) -> Path:
-    """Return a path that a caller gave as the argument `name`; raise `InputError` if it is none."""
+    """Return the argument `name` as a path; raise `InputError` if it is none."""
     if not isinstance(value, (str, os.PathLike)) or not str(value) or "\0" in str(value):
         raise InputError(f"{name} = {value!r}: must be a path")
     return Path(value)
 
 
 def ended_with_python(command: Sequence[str | Path]) -> list[str]:
-    """Return a command that ends when the thread of Python that starts it does, however it ends.
+    """Return a command that is stopped when the Python thread that starts it ends.
 
-    Where the system can do that (Linux): by SIGUSR1, at which the program saves its state, and
-    which launchers pass on.
+    On Linux, by SIGUSR1, at which the program saves its state, and which launchers pass on.
     """
     words = [str(word) for word in command]
     return [sys.executable, "-I", "-S", "-c", ENDED_WITH, str(os.getpid()), *words]
 
 
 def integer(low: int, high: int = 2**31 - 1) -> Callable[[str], int]:
-    """Return what turns a word of the command line into an integer from `low` to `high`."""
+    """Return a function that converts an argument to an integer from `low` to `high`."""
 
     def read(text: str) -> int:
         value = int(text)
@@ -124,7 +123,7 @@ def integer(low: int, high: int = 2**31 - 1) -> Callable[[str], int]:
 
 
 def number(low: float, high: float = 1e100) -> Callable[[str], float]:
-    """Return what turns a word of the command line into a number from `low` to `high`."""
+    """Return a function that converts an argument to a number from `low` to `high`."""
 
     def read(text: str) -> float:
         value = float(text)
@@ -137,7 +136,7 @@ def number(low: float, high: float = 1e100) -> Callable[[str], float]:
 
 
 def finite(value: object) -> object:
-    """Return a value as JSON can hold it: numpy's numbers as Python's, NaN and infinity as None."""
+    """Return a value for JSON: numpy's numbers as Python's, NaN and infinity as None."""
     if isinstance(value, dict):
         return {str(key): finite(one) for key, one in value.items()}
     if hasattr(value, "tolist"):
@@ -150,7 +149,7 @@ def finite(value: object) -> object:
 
 
 def output_folder(path: Path) -> Path:
-    """Return the folder `path`, made if it is not there yet."""
+    """Return the folder `path`; it is made if it does not exist."""
     try:
         path.mkdir(parents=True, exist_ok=True)
     except OSError as problem:
@@ -159,10 +158,10 @@ def output_folder(path: Path) -> Path:
 
 
 def run(main: Callable[[list[str] | None], int], arguments: list[str] | None = None) -> int:
-    """Call `main`; turn what the user or the machine did wrong into one line and exit 2.
+    """Call `main`; report errors of input and of the system in one line, with exit 2.
 
-    That is an `InputError`, and what the system says no to: a file or folder, memory, a full
-    device for what is printed.
+    These are `InputError`, and errors of the system: a file or folder, memory, a full output
+    device.
     """
     try:
         try:
@@ -173,7 +172,7 @@ def run(main: Callable[[list[str] | None], int], arguments: list[str] | None = N
     except InputError as problem:
         message = str(problem)
     except OSError as problem:
-        message = _said(problem)
+        message = _system_message(problem)
     except MemoryError as problem:
         message = f"not enough memory: {problem}" if str(problem) else "not enough memory"
     _forget_output()
@@ -182,19 +181,19 @@ def run(main: Callable[[list[str] | None], int], arguments: list[str] | None = N
 
 
 def printable(text: str) -> str:
-    """Return text for a terminal: what would move its cursor, or do worse, is shown as escapes."""
+    """Return text that is safe on a terminal: control characters are shown as escapes."""
     shown = (one if one.isprintable() else ascii(one)[1:-1] for one in text)
     return "".join(shown)
 
 
-def _said(problem: OSError) -> str:
-    """Return what the system says, and about which file."""
+def _system_message(problem: OSError) -> str:
+    """Return the message of the system, with the file."""
     reason = problem.strerror or str(problem)
     return f"{problem.filename}: {reason}" if problem.filename else reason
 
 
 def _forget_output() -> None:
-    """Drop what could not be printed, or Python tries again at its end, with a traceback."""
+    """Drop output that could not be printed, or Python tries again at its end, with a traceback."""
     try:
         sys.stdout.flush()
     except OSError:

@@ -1,14 +1,14 @@
-"""Measures theories against runs: by how much chi and the currents are off, and where the phase is.
+"""Measures theories against runs: errors of chi and of the currents, and of the phase.
 
 Prints a table, or JSON with `--json`, for the theories of well mixed urns, by name: the paper's
-window, the renewal gate, and the renewal gate with those in the channels counted. A point counts as
-polarised if chi exceeds 0.15. Differences of chi are taken at all points where the measurement is
-polarised, the same for every theory (of two stable states the nearer one is taken), and again at
-those of them on the side of the upper transition, where T is larger than where chi is largest;
-those of the net current where the theory is polarised too. For the single urn only its current is
-compared, relative to theory, where that exceeds a hundredth of the free current.
+window, the renewal gate, and the renewal gate with particles in the channels counted. A point
+counts as polarised if chi exceeds 0.15. Differences of chi are taken at all points where the
+measurement is polarised, the same for every theory (of two stable states the nearer one is taken),
+and again at those of them on the side of the upper transition, where T is larger than at the
+largest chi; those of the net current where the theory is polarised too. For the single urn only its
+current is compared, relative to theory, where that exceeds a hundredth of the free current.
 
-Then, to tell where the rest comes from, the four flows of polarised circuits, summed over points,
+Then, to find the origin of the rest, the four flows of polarised circuits, summed over points,
 relative to those of the theory at the measured spread: out of the dense and of the sparse urn,
 through channel 1 (where the gates' formula matters) and 2 (where only the mixing in the urns does).
 """
@@ -25,7 +25,7 @@ from postproc.report.compare import FLOWS, compare
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Print how far each theory is from the runs."""
+    """Print the differences of each theory from the runs."""
     options = cli.parser("compare", __doc__)
     options.add_argument("files", metavar="FILE.h5", type=Path, nargs="+")
     options.add_argument("--json", action="store_true", help="print JSON")

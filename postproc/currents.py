@@ -1,6 +1,6 @@
-"""Draws flows and net currents against time, with what theories say of them, and eta.
+"""Draws flows and net currents against time, with their values by theories, and eta.
 
-The picture of Fig. comp05 of PRE 103, 032119 (2021), for one task of a run that kept a series.
+The picture of Fig. comp05 of PRE 103, 032119 (2021), for one task of a run with a series.
 """
 
 from __future__ import annotations

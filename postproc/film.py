@@ -1,9 +1,9 @@
 """Makes a film of the circuit from the snapshots of a run.
 
-The table with its particles; a gate flashes when it reverses (if the run kept an event log); chi
-and the net current of channel 2 run along below (the current if the run kept a series). Snapshots
-that lie within 0.6 of each other are joined by straight flight, others follow each other. MP4, or
-GIF with `--gif`.
+The film shows the table with its particles; a gate flashes when it reverses (if the run has an
+event log); below are chi and the net current of channel 2 against time (the current if the run has
+a series). Snapshots within 0.6 time units of each other are joined by straight flight, others
+follow each other. MP4, or GIF with `--gif`.
 """
 
 from __future__ import annotations

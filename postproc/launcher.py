@@ -1,7 +1,7 @@
-"""What the launchers of MPI are told, and which of the words after a run are theirs.
+"""Settings for the launchers of MPI, and their lines in the output of a run.
 
-Open MPI 5 has another launcher than Open MPI 4, with names of its own for the same settings; MPICH
-needs none of them. The Makefile has those that a `make` target needs.
+Open MPI 5 has another launcher than Open MPI 4, with other names for the same settings; MPICH needs
+none of them. The Makefile has those that a `make` target needs.
 """
 
 from __future__ import annotations
@@ -15,27 +15,28 @@ LAUNCHER = {
     "OMPI_MCA_rmaps_base_oversubscribe": "1",
     "PRTE_MCA_rmaps_default_mapping_policy": ":oversubscribe",
 }
-# Ranks of several runs side by side share cores: none is tied to one, and who waits must not spin.
+# Ranks of several simultaneous runs share cores: they are not bound, and waiting ranks must not
+# spin.
 SHARED_CORES = {
     "OMPI_MCA_mpi_yield_when_idle": "1",
     "OMPI_MCA_hwloc_base_binding_policy": "none",
     "PRTE_MCA_hwloc_default_binding_policy": "none",
 }
-# For the program without mpirun: a daemon of Open MPI 4 beside it would double the time of a start,
-# and without one, starts side by side would remove the folder that another is about to use. No
-# mpirun may see these: it cannot do without its folders.
+# For the program without mpirun: a daemon of Open MPI 4 would double the time of a start, and
+# without one, simultaneous starts would remove each other's folders. mpirun must not have these
+# settings: it needs its folders.
 ALONE = {
     "OMPI_MCA_ess_singleton_isolated": "1",
     "OMPI_MCA_orte_create_session_dirs": "0",
 }
 
-# A warning of Open MPI 5 wherever hosts have no network: each rank writes it in parts, which stand
-# anywhere in a line where ranks write at once.
+# A warning of Open MPI 5 on hosts without a network: each rank writes it in parts, which are mixed
+# within lines if ranks write simultaneously.
 _WARNING = re.compile(
     r"\[[^][\n]*\]\[\[\d+,\d+\],\d+\]\[[^][\n]*:mca_btl_tcp_proc_create_interface_graph\] ?"
     r"|Unable to find reachable pairing between local and remote interfaces"
 )
-# A block between two rules; or a line that begins with [host:process], or with a launcher's name.
+# A block between two rules, or a line that begins with [host:process] or with a launcher's name.
 _NOISE = re.compile(
     r"^([-=])\1{29,}\n(?:.*\n)*?\1{30,}\n"
     r"|^\[[^\n]*\n"
@@ -45,9 +46,9 @@ _NOISE = re.compile(
 
 
 def program_words(errors: str) -> str:
-    """Return what the program itself printed on standard error, among a launcher's words.
+    """Return what the program itself printed on standard error, without a launcher's lines.
 
-    Where nothing else was printed, the launcher's words are all there is to say.
+    If nothing else was printed, the launcher's lines are returned.
     """
     text = errors.rstrip("\n") + "\n"
     words = _NOISE.sub("", _WARNING.sub("", text))

@@ -1,11 +1,11 @@
 """Finite N: N2 as a birth-death chain with the theory's rates, its distribution and lifetimes.
 
-Prints, as JSON, how long the homogeneous and the polarised state of a circuit last.
+Prints, as JSON, the lifetimes of the homogeneous and the polarised state of a circuit.
 
 A particle goes from urn 1 to urn 2 at rate f(N - N2)/(pi A) and back at rate f(N2)/(pi A), with the
-outflows of eq. (eq007). Where both kinds of state are stable (T = 2 in the paper), a state is left
-by chance; its lifetime is the mean time from the state to the unstable one that parts them. The
-chain takes crossings as independent, though what gets through a gate comes in bursts.
+outflows of eq. (eq007). If both kinds of state are stable (T = 2 in the paper), a state is left by
+fluctuations; its lifetime is the mean time from the state to the unstable one between them. The
+chain takes crossings as independent, although particles get through a gate in bursts.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ def main(arguments: list[str] | None = None) -> int:
     given = circuit_options("lifetimes", __doc__).parse_args(arguments)
     circuit, model = given_circuit(given), MODELS[given.model]
     if not circuit.alike:
-        raise cli.InputError("a chain of lifetimes wants two equal urns and gates")
+        raise cli.InputError("a chain of lifetimes needs two equal urns and gates")
     if not model.has_rates:
         known = " or ".join(name for name, one in MODELS.items() if one.has_rates)
         raise cli.InputError(f"theory {model.name} has no rates; lifetimes are of --model {known}")

@@ -1,17 +1,17 @@
-"""Measures how badly the urns mix, and how long their chain would last if it mixed as badly.
+"""Measures the imperfect mixing of the urns, and its effect on the lifetimes of their chain.
 
-Takes series that begin polarised (`lifetimes_*.nml`) while they are so. The flows out of either urn
-are compared with those of a well mixed one that holds as many, with the renewal gate: their ratio,
-and the scatter of their counts about that (Fano factor: 1 for crossings that are independent of
-each other, more if they come in bursts, less if they keep a distance). Then the polarised state's
-lifetime by the chain, as it is, with the sparse urn's outflow times 0.9, and with its two outflows
-times the measured ratios; and the share of the discrepancy's logarithm that each takes away,
+Uses series that begin polarised (`lifetimes_*.nml`) as long as they are so. The flows out of either
+urn are compared with those of a well mixed one of the same number, with the renewal gate: their
+ratio, and the scatter of their counts about that (Fano factor: 1 for independent crossings, more if
+they come in bursts, less if they repel each other). Then the polarised state's lifetime by the
+chain, unchanged, with the sparse urn's outflow times 0.9, and with its two outflows times the
+measured ratios; and the share of the discrepancy's logarithm that each change removes,
 
     1 - log(changed chain/measured)/log(chain/measured).
 
 Prints a table, or JSON with `--json`. An interval of the series counts if chi has been above 0.2
-from the start until the interval begins: what happens within it has no say in that. Those in the
-channels are counted as in the urns, as in the paper, unless `--occupation` tells them apart.
+from the start until the interval begins; chi within the interval does not matter. Particles in the
+channels are counted as in the urns, as in the paper, unless `--occupation` is given.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from postproc.theory.renewal import RENEWAL
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Print how well the urns of runs mix, and what that makes of the chain's lifetimes."""
+    """Print the mixing of the urns of runs, and its effect on the chain's lifetimes."""
     options = cli.parser("mixing", __doc__)
     options.add_argument("files", metavar="FILE.h5", type=Path, nargs="+")
     options.add_argument(

@@ -1,10 +1,9 @@
-"""How far slow computations are: told to standard error once a command has taken more than 3 s.
+"""Progress of slow computations, on standard error once a command has taken more than 3 s.
 
-What may take long says what it is (`doing`) or goes through its parts with `each`; both may stand
-in each other. A command that `cli.run` calls has a thread beside it that tells, as one line, all
-that is under way: on a terminal in place, every second, and gone when it is done; elsewhere a line
-after 3, 6, 12, 24 ... s, so that a log of hours has a dozen. Nothing is told where a module is
-called from other Python.
+A slow computation is marked by `doing`, or iterates over its parts with `each`; both can be nested.
+A command that `cli.run` calls has a thread that prints all current computations as one line: on a
+terminal in place, every second, and removed at the end; elsewhere a line after 3, 6, 12, 24 ... s,
+so that a log of hours has a dozen. Nothing is printed if a module is called from other Python code.
 """
 
 from __future__ import annotations
@@ -22,20 +21,20 @@ if TYPE_CHECKING:
 
     One = TypeVar("One")
 
-SILENT = 3.0  # seconds before anything is told
+SILENT = 3.0  # seconds before the first line
 AGAIN = 1.0  # seconds from one line to the next on a terminal
 ERASED = "\r\x1b[K"
 
 
 @dataclass(eq=False)
 class Part:
-    """A computation that is under way.
+    """A current computation.
 
     Attributes
     ----------
-    what : it is.
-    total : how many parts it has, if that is known; `what` names one of them then.
-    done : how many of these are done.
+    what : description of the computation.
+    total : number of its parts, if known; then `what` describes one of them.
+    done : number of finished parts.
     """
 
     what: str
@@ -43,18 +42,18 @@ class Part:
     done: int = 0
 
     def __str__(self) -> str:
-        """Say what is under way."""
+        """Return the description with the progress."""
         return self.what if self.total is None else f"{self.what} {self.done + 1} of {self.total}"
 
 
 _under_way: list[Part] = []
-_writing = threading.Lock()  # a line, or taking it away
+_writing = threading.Lock()  # held while a line is written or removed
 _on_screen = threading.Event()  # whether a terminal shows one
 
 
 @contextmanager
 def doing(what: str, total: int | None = None) -> Iterator[Part]:
-    """Say what is computed until the block ends; `done` of what it gives may be counted up."""
+    """Report a computation until the block ends; the block may increase `done` of the part."""
     part = Part(what, total)
     _under_way.append(part)
     try:
@@ -68,7 +67,7 @@ def doing(what: str, total: int | None = None) -> Iterator[Part]:
 
 
 def each(things: Sequence[One], what: str) -> Iterator[One]:
-    """Give one after the other, and say which of how many is computed; `what` names one."""
+    """Yield the items and report which of how many is computed; `what` describes one."""
     with doing(what, len(things)) as part:
         for one in things:
             yield one
@@ -77,9 +76,9 @@ def each(things: Sequence[One], what: str) -> Iterator[One]:
 
 @contextmanager
 def told() -> Iterator[None]:
-    """Tell what is under way as long as the block lasts."""
+    """Report current computations as long as the block lasts."""
     over = threading.Event()
-    teller = threading.Thread(target=_tell, args=(over, sys.stderr), daemon=True)
+    teller = threading.Thread(target=_report, args=(over, sys.stderr), daemon=True)
     teller.start()
     try:
         yield
@@ -88,7 +87,7 @@ def told() -> Iterator[None]:
         teller.join()
 
 
-def _tell(over: threading.Event, stream: IO[str]) -> None:
+def _report(over: threading.Event, stream: IO[str]) -> None:
     began, pause, terminal = time.monotonic(), SILENT, stream.isatty()
     while not over.wait(pause):
         passed = time.monotonic() - began
@@ -99,8 +98,8 @@ def _tell(over: threading.Event, stream: IO[str]) -> None:
                 continue
             line = f"{passed:.0f} s: {line}"
             if terminal:
-                room = shutil.get_terminal_size().columns - 1
-                _write(stream, f"{ERASED}{line[:room]}")
+                columns = shutil.get_terminal_size().columns - 1
+                _write(stream, f"{ERASED}{line[:columns]}")
                 _on_screen.set()
             else:
                 _write(stream, f"{line}\n")
@@ -110,5 +109,5 @@ def _write(stream: IO[str], text: str) -> None:
     try:
         stream.write(text)
         stream.flush()
-    except (OSError, ValueError):  # nobody listens any more
+    except (OSError, ValueError):  # the output is closed
         pass

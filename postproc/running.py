@@ -1,4 +1,4 @@
-"""Runs of the program from Python: namelists whose keys exist, and what came of a run."""
+"""Runs of the program from Python: namelists with valid keys, and the outcome of a run."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     Groups = Mapping[str, Mapping[str, object]]
 
 STOPPED = 3  # exit code of a run that was stopped early
-# Where make leaves the program: in a checkout, or beside the Python side that it installed.
+# Places of the program: made in a checkout, or installed beside the Python side.
 BUILT = Path(__file__).resolve().parents[1] / "build/bin/battery"
 INSTALLED = Path(sys.prefix, "../../bin/battery").resolve()
 
@@ -52,7 +52,7 @@ class RunError(RuntimeError):
     """
 
     def __init__(self, code: int, message: str) -> None:
-        """Keep the exit code, and what the program said."""
+        """Store the exit code and the message of the program."""
         super().__init__(message)
         self.code = code
 
@@ -60,7 +60,7 @@ class RunError(RuntimeError):
 def find_program(program: str | Path | None = None) -> Path:
     """Return the program: the one given, that of BATTERY_PROGRAM, make's own, that on PATH.
 
-    Raises `InputError` if it is not there.
+    Raises `InputError` if it does not exist.
     """
     given = os.environ.get("BATTERY_PROGRAM") or None if program is None else program
     if given is not None:
@@ -82,16 +82,16 @@ def write_namelist(
 
     Parameters
     ----------
-    file : where to; None: nowhere.
+    file : path; None: nothing is written.
     groups : values by group and key: numbers, texts, truth values, paths, or lists or arrays of
         numbers. None leaves a key out.
-    program : the program that will run it, which is asked for its keys (see `find_program`).
+    program : the program that will run it and that lists its keys (see `find_program`).
 
     Raises
     ------
     ValueError
-        A group or key does not exist, or a value is nothing that a namelist can hold. All
-        problems are in the message. Types and bounds are left to the program.
+        A group or key does not exist, or a value cannot be written in a namelist. All problems are
+        in the message. Types and bounds are checked by the program.
     """
     if not isinstance(groups, Mapping):
         raise InputError(f"groups = {groups!r}: must be values by group and key")
@@ -132,27 +132,27 @@ def run(
     program: str | Path | None = None,
     launcher: Sequence[str] = ("mpirun", "-n"),
 ) -> Path:
-    """Run the program, or go on with a run; return the absolute path of its results file.
+    """Run the program, or resume a run; return the absolute path of its results file.
 
-    An interruption of Python (Ctrl-C) stops the run such that the same call goes on; so does the
-    end of Python, whatever ends it (on Linux).
+    An interruption of Python (Ctrl-C) stops the run such that the same call resumes it; so does the
+    end of Python, for any reason (on Linux).
 
     Parameters
     ----------
     namelist : a file, or values by group and key (as in `write_namelist`).
     ranks : MPI ranks; 1: without a launcher. More than there are tasks, and processors here, are
         refused.
-    folder : where it is called, made if need be; names of files in the namelist are relative to
-        it. None: here. What was made for a run that is refused is removed.
-    overwrite : discard results that are there.
-    quiet : print nothing of what the program says.
+    folder : working folder, made if necessary; names of files in the namelist are relative to it.
+        None: the current folder. A folder made for a run that is refused is removed.
+    overwrite : discard existing results.
+    quiet : do not print the output of the program.
     program : see `find_program`.
-    launcher : what starts several ranks, their number comes behind it.
+    launcher : command that starts several ranks; their number follows it.
 
     Raises
     ------
     ValueError
-        The input is bad, or results of another input are there: what the program says.
+        The input is invalid, or results of another input exist: the message of the program.
     RunError
         The run failed in part, or was stopped early.
     """
@@ -163,7 +163,7 @@ def run(
     if strange or lacking or not all(isinstance(word, str) and word for word in launcher):
         raise InputError(f"launcher = {launcher!r}: must be a list of words")
     start = list(launcher) if ranks > 1 else []
-    if ranks > (processors := os.cpu_count() or 1):  # launchers hang at a million
+    if ranks > (processors := os.cpu_count() or 1):  # launchers hang with a million ranks
         tasks = plan(namelist, folder=folder, overwrite=overwrite, program=program).tasks
         if ranks > tasks:
             raise InputError(
@@ -178,13 +178,13 @@ def run(
 
 @dataclass(frozen=True)
 class Plan:
-    """What `battery --check` says of a run.
+    """Output of `battery --check` for a run.
 
     Attributes
     ----------
-    tasks, pending : all tasks, and those that are still to be done.
-    seconds : processor time of these, in s.
-    memory : bytes that a rank takes.
+    tasks, pending : numbers of all tasks, and of unfinished ones.
+    seconds : processor time of the unfinished tasks, in s.
+    memory : bytes for each rank.
     """
 
     tasks: int
@@ -200,34 +200,34 @@ def plan(
     overwrite: bool = False,
     program: str | Path | None = None,
 ) -> Plan:
-    """Return what a run would do and cost; nothing is run but for a calibration, of seconds.
+    """Return tasks and cost of a run; only a calibration of some seconds is run.
 
     Arguments and errors are those of `run`.
     """
     words = ["--check", *(["--overwrite"] if overwrite else [])]
-    told = _answer(namelist, words, folder=folder, quiet=True, program=program, start=[])
-    seconds = told["seconds_a_task"] * told["pending"]
-    return Plan(told["tasks"], told["pending"], seconds, told["memory_a_rank"])
+    answer = _answer(namelist, words, folder=folder, quiet=True, program=program, start=[])
+    seconds = answer["seconds_a_task"] * answer["pending"]
+    return Plan(answer["tasks"], answer["pending"], seconds, answer["memory_a_rank"])
 
 
 def _answer(
     namelist: str | Path | Groups, words: list[str], *, folder: str | Path | None, quiet: bool,
     program: str | Path | None, start: list[str],
 ) -> dict[str, Any]:  # fmt: skip
-    """Return what the program writes for scripts; `start` is what is before it, `words` behind."""
+    """Return the JSON output of the program; `start` is before it on the command line."""
     battery = find_program(program)
     place = path_of("." if folder is None else folder, "folder")
     with _made_folder(place), _work_folder(place) as work:
         path, json_file = _namelist_file(namelist, battery, work), work / "answer.json"
         words = [*words, "--json", str(json_file), "--", str(path)]
-        code, said, complaints = _launch([*start, str(battery), *words], place, quiet)
+        code, output, errors = _launch([*start, str(battery), *words], place, quiet)
         if isinstance(namelist, Mapping):
-            complaints = complaints.replace(str(path), "the namelist")
-        complaints = program_words(complaints)
+            errors = errors.replace(str(path), "the namelist")
+        errors = program_words(errors)
         if code == EXIT_BAD_INPUT:
-            raise InputError(complaints)
+            raise InputError(errors)
         if code:
-            raise RunError(code, _reason(code, complaints, said))
+            raise RunError(code, _reason(code, errors, output))
         if not json_file.exists():
             raise InputError(f"{' '.join(start)}: ended well, but started no battery")
         return json.loads(json_file.read_text(encoding="utf-8", errors="surrogateescape"))
@@ -235,7 +235,7 @@ def _answer(
 
 @contextmanager
 def _made_folder(place: Path) -> Iterator[None]:
-    """Make a folder, for a run; what was made is removed if that is refused."""
+    """Make a folder for a run; it is removed if the run is refused."""
     try:
         made = [one for one in (place, *place.parents) if not one.exists()]
     except OSError as problem:
@@ -244,7 +244,7 @@ def _made_folder(place: Path) -> Iterator[None]:
         output_folder(place)
         yield
     except InputError:
-        with suppress(OSError):  # someone else put something there
+        with suppress(OSError):  # another process has written into it
             for one in made:
                 one.rmdir()
         raise
@@ -252,18 +252,18 @@ def _made_folder(place: Path) -> Iterator[None]:
 
 @contextmanager
 def _work_folder(place: Path) -> Iterator[Path]:
-    """Give a folder for a run's own files: where it is called, for other nodes may see that too."""
+    """Yield a folder for a run's own files, in the working folder, which other nodes may share."""
     here = place if os.access(place, os.W_OK | os.X_OK) else None
     with tempfile.TemporaryDirectory(prefix=".battery-", dir=here) as folder:
         yield Path(folder).resolve()
 
 
-def _reason(code: int, complaints: str, said: str) -> str:
+def _reason(code: int, errors: str, output: str) -> str:
     """Return why a run did not complete."""
     if code == STOPPED:
         return "stopped early, the state is saved: the same call goes on"
-    failures = [line for line in said.splitlines() if " failed: " in line]
-    return complaints or "\n".join(failures) or f"the program ended with {code}"
+    failures = [line for line in output.splitlines() if " failed: " in line]
+    return errors or "\n".join(failures) or f"the program ended with {code}"
 
 
 @lru_cache
@@ -285,7 +285,7 @@ def _keys(program: Path) -> dict[str, tuple[str, ...]]:
 def _values(
     group: str, keys: Mapping[str, object], known: Sequence[str], problems: list[str]
 ) -> dict[str, object]:
-    """Return the values of a group as a namelist holds them; what is wrong joins `problems`."""
+    """Return the values of a group for a namelist; append errors to `problems`."""
     values = {}
     for key, value in keys.items():
         plain = value.tolist() if hasattr(value, "tolist") else value
@@ -309,7 +309,7 @@ def _can_be_written(value: object) -> bool:
             _can_be_written(one) and not isinstance(one, list) for one in value
         )
     if isinstance(value, str):
-        return value.isprintable()  # f90nml writes other signs as Python does
+        return value.isprintable()  # f90nml writes other characters as Python escapes
     return isinstance(value, (bool, int, float))
 
 
@@ -319,7 +319,7 @@ def _choice(word: str, known: Sequence[str] | Mapping[str, object]) -> str:
 
 
 def _namelist_file(namelist: str | Path | Groups, program: Path, folder: Path) -> Path:
-    """Return the file of a namelist; one of values is written to `folder`."""
+    """Return the file of a namelist; values are written to a file in `folder`."""
     if not isinstance(namelist, Mapping):
         return existing_file(path_of(namelist, "namelist")).resolve()
     path = folder / "namelist.nml"
@@ -328,22 +328,22 @@ def _namelist_file(namelist: str | Path | Groups, program: Path, folder: Path) -
 
 
 def _launch(command: list[str], folder: Path, quiet: bool) -> tuple[int, str, str]:
-    """Return exit code, output and complaints of a command; output is shown as it comes."""
-    said = []
-    with tempfile.TemporaryFile("w+", encoding="utf-8", errors="replace") as complaints:
+    """Return exit code, output and errors of a command; output is printed as it arrives."""
+    output = []
+    with tempfile.TemporaryFile("w+", encoding="utf-8", errors="replace") as errors:
         with subprocess.Popen(
             ended_with_python(command), cwd=folder, stdin=subprocess.DEVNULL,
-            stdout=subprocess.PIPE, stderr=complaints, text=True, errors="replace",
+            stdout=subprocess.PIPE, stderr=errors, text=True, errors="replace",
             start_new_session=True,
         ) as process:  # fmt: skip
             try:
                 for line in process.stdout or ():
-                    said.append(line)
+                    output.append(line)
                     if not quiet:
                         print(line, end="", flush=True)
             except BaseException:
                 process.send_signal(signal.SIGUSR1)  # saves the state; mpirun passes it on
                 process.wait()
                 raise
-        complaints.seek(0)
-        return process.returncode, "".join(said), complaints.read()
+        errors.seek(0)
+        return process.returncode, "".join(output), errors.read()

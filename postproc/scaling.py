@@ -1,13 +1,13 @@
-"""How an ensemble uses several ranks: speed-up, cost of a task beside its work, cost of a rank.
+"""Efficiency of an ensemble on several ranks: speed-up, overhead of a task, cost of a rank.
 
 `speedup` runs a scan of 50 points in turn on one rank and on two (or `--ranks`), round after round,
 so that a machine whose speed drifts slows both alike, and gives the ratio of each round, of wall
-time and of the time that ranks had on a processor: the second tells what the first would be if
+time and of the processor time of the ranks: the second is what the first would be if
 nothing else ran.
-`overhead` runs many tasks of next to no work, and gives what one costs besides, as a share of a
+`overhead` runs many tasks with hardly any work, and gives the overhead of one, as a share of a
 task of one second.
-`ranks` starts more and more ranks than there are processors for tasks of next to no work, and
-gives the seconds to start and to end, tasks a second, and memory a rank.
+`ranks` starts more and more ranks than there are processors for tasks with hardly any work, and
+gives the seconds to start and to end, tasks per second, and memory per rank.
 
 Prints JSON.
 """

@@ -1,9 +1,9 @@
 """Draws the table to scale with the particles of a snapshot.
 
-Fig. model of PRE 103, 032119 (2021) with what the run had in it. A gate counts the particles inside
-it that head for the other gate; when an entrant makes the count exceed T, all those turn back. So a
-particle is marked as *counted* if it is in a gate and heads for the other gate, and as *next to be
-turned back* if moreover its gate is the one whose count is nearer to exceeding T.
+Fig. model of PRE 103, 032119 (2021) with the particles of the run. A gate counts the particles
+inside it that move to the other gate; when an entry makes the count exceed T, all of them are
+reversed. So a particle is marked as *counted* if it is in a gate and moves to the other gate, and
+as *next to be turned back* if moreover the count of its gate is nearer to exceeding T.
 """
 
 from __future__ import annotations

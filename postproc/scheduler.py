@@ -1,14 +1,14 @@
-"""What an ensemble would do on many ranks: its way of sharing tasks, simulated event by event.
+"""Simulation of an ensemble on many ranks: its scheduling of tasks, event by event.
 
-Every free rank takes a task from the task queue in the memory of rank 0: one atomic operation gives
-it the next place on the list, another reads the task there, others count tasks that are done. The
-queue serves one operation at a time (`service`), and each takes some time on the way (`latency`). A
-running task reads the queue every 0.1 s, or less often: all ranks together read it at most 10 000
+Every free rank takes a task from the task queue in the memory of rank 0: one atomic operation
+returns the next position in the list, another reads the task there, others count finished tasks.
+The queue serves one operation at a time (`service`), and each message takes some time (`latency`).
+A running task reads the queue every 0.1 s, or less often: all ranks together read it at most 10 000
 times a second, and for at most half a percent of their time. `mpirun -n RANKS build/bin/bench
 board` measures both numbers.
 
-Prints, as JSON, what the ranks do with their time; with `--figure`, draws how the idle share hangs
-on the number of tasks, for three ways of sharing, and on the length of a task.
+Prints, as JSON, how the ranks spend their time; with `--figure`, draws the idle share against the
+number of tasks, for three ways of scheduling, and against the length of a task.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from postproc.speed.scheduler import ORDERS, Network, draw, run_order, task_leng
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Simulate one run and print it; draw if asked to."""
+    """Simulate one run and print it; draw the figure if requested."""
     options = cli.parser("scheduler", __doc__)
     options.add_argument(
         "--ranks", type=cli.integer(1, 10**7), default=10_000, help="default: 10000"

@@ -1,10 +1,10 @@
 """Circulations: passages of channel 2 that come straight from the middle of channel 1.
 
-A particle that leaves channel 2 along the table's axis, or so that it meets the wall of channel 1
-just at its middle, comes straight back to channel 2 without a bounce in an urn. Such orbits are
-marginally stable: the nearer a particle comes to one the more rounds it makes. Passages of channel
-2 that come straight from the middle of channel 1 are told from the rest by their time of flight,
-and those of one particle without a bounce in an urn are counted as the rounds of one circulation.
+A particle that leaves channel 2 along the table's axis, or such that it hits the wall of channel 1
+exactly at its middle, returns straight to channel 2 without a wall hit in an urn. Such orbits are
+marginally stable: the closer a particle is to one the more rounds it makes. Passages of channel 2
+that come straight from the middle of channel 1 are recognised by their time of flight, and those of
+one particle without a wall hit in an urn are counted as the rounds of one circulation.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from studies.event_log import CROSSING1, CROSSING2, ENTRY, outward_stays
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from studies.event_log import Circuit, Log, Stories
+    from studies.event_log import Circuit, Log, ParticleEvents
 
     Floats = NDArray[np.float64]
 
@@ -30,15 +30,15 @@ ROUNDS = 2 ** np.arange(14)  # rounds at which circulations are counted
 
 @dataclass(frozen=True)
 class Circulations:
-    """Passages of channel 2 in one log, those after the transient; fields of shape (passage,).
+    """Passages of channel 2 in one log after the transient; fields of shape (passage,).
 
     Attributes
     ----------
-    time : when.
-    sign : 1 from urn 2 to urn 1, the way of the net current, -1 the other.
-    rounds : how many rounds the particle has made without a bounce in an urn; 0: not straight.
-    slope : |u_y/u_x| of those that come straight from the middle of channel 1, NaN of the rest.
-    all_rounds : the rounds by the stories' events, shape (event,).
+    time : time of the passage.
+    sign : 1 from urn 2 to urn 1, the direction of the net current, else -1.
+    rounds : number of rounds of the particle without a wall hit in an urn; 0: not straight.
+    slope : |u_y/u_x| of passages straight from the middle of channel 1, NaN of the others.
+    all_rounds : the rounds at each event of `ParticleEvents`, shape (event,).
     """
 
     time: Floats
@@ -58,39 +58,39 @@ def steepest(circuit: Circuit) -> float:
     return 0.5 * (circuit.channel1_width + circuit.channel2_width) / sum(circuit.chords)
 
 
-def circulations(told: Stories, circuit: Circuit) -> Circulations:
+def circulations(events: ParticleEvents, circuit: Circuit) -> Circulations:
     """Return the passages of channel 2 with the rounds made."""
     shortest = straight_time(circuit)
     longest = shortest * math.hypot(1.0, steepest(circuit)) * (1.0 + 1e-9)
-    passes = np.flatnonzero(told.kind == CROSSING2)
-    last = told.before[passes]  # of a particle that comes straight: its crossing of channel 1
-    flight = np.where(last >= 0, told.time[passes] - told.time[last], math.inf)
-    # from the middle of channel 1 on towards the urn that it now leaves
-    straight = (flight <= longest) & (told.kind[last] == CROSSING1)
-    straight &= told.where[last] + told.where[passes] == 33
-    entry = np.where(straight, told.before[last], -1)
-    first = np.where(entry >= 0, told.before[entry], -1)
-    before = told.time[last] - told.time[first]
-    round_before = (first >= 0) & (told.kind[first] == CROSSING2) & (before <= longest)
-    round_before &= told.where[first] == told.where[passes]
-    rounds = np.zeros(told.time.size, int)
+    passes = np.flatnonzero(events.kind == CROSSING2)
+    last = events.before[passes]  # for a straight passage: the crossing of channel 1
+    flight = np.where(last >= 0, events.time[passes] - events.time[last], math.inf)
+    # the crossing of channel 1 was towards the urn that the particle now leaves
+    straight = (flight <= longest) & (events.kind[last] == CROSSING1)
+    straight &= events.where[last] + events.where[passes] == 33
+    entry = np.where(straight, events.before[last], -1)
+    first = np.where(entry >= 0, events.before[entry], -1)
+    before = events.time[last] - events.time[first]
+    round_before = (first >= 0) & (events.kind[first] == CROSSING2) & (before <= longest)
+    round_before &= events.where[first] == events.where[passes]
+    rounds = np.zeros(events.time.size, int)
     for place in np.flatnonzero(straight):
         rounds[passes[place]] = 1 + (rounds[first[place]] if round_before[place] else 0)
     slope = np.sqrt(np.clip((flight / shortest) ** 2 - 1.0, 0.0, None))
     slope = np.where(straight, slope, math.nan)
-    sign = np.where(told.where[passes] == 21, 1, -1)
-    order = np.argsort(told.time[passes], kind="stable")
-    order = order[told.time[passes[order]] > TRANSIENT]
-    columns = (told.time[passes], sign, rounds[passes], slope)
+    sign = np.where(events.where[passes] == 21, 1, -1)
+    order = np.argsort(events.time[passes], kind="stable")
+    order = order[events.time[passes[order]] > TRANSIENT]
+    columns = (events.time[passes], sign, rounds[passes], slope)
     return Circulations(*(column[order] for column in columns), rounds)
 
 
 def urn_numbers(
-    log: Log, told: Stories, circuit: Circuit, at_start: int, end: float
+    log: Log, events: ParticleEvents, circuit: Circuit, at_start: int, end: float
 ) -> tuple[float, float]:
     """Return the mean numbers inside urn 1 and urn 2 after the transient, channels left out.
 
-    `at_start` is how many began in half 2.
+    `at_start` is the number that began in half 2.
     """
     crossed = (log.kind == CROSSING1) | (log.kind == CROSSING2)
     time = np.clip(log.time[crossed], TRANSIENT, end)
@@ -98,15 +98,15 @@ def urn_numbers(
     edges = np.concatenate([[TRANSIENT], time, [end]])
     duration = end - TRANSIENT
     half = np.concatenate([[at_start], number]) @ np.diff(edges) / duration
-    through2 = np.count_nonzero((told.kind == CROSSING2) & (told.time > TRANSIENT))
+    through2 = np.count_nonzero((events.kind == CROSSING2) & (events.time > TRANSIENT))
     returning = through2 * 0.25 * math.pi * circuit.channel2_length
-    gate, start, stop = outward_stays(told)
-    known = np.where(told.after >= 0, told.time[told.after], told.time)
-    leaves = np.where(np.isfinite(told.turned), told.turned, known)
+    gate, start, stop = outward_stays(events)
+    known = np.where(events.after >= 0, events.time[events.after], events.time)
+    leaves = np.where(np.isfinite(events.turned), events.turned, known)
     held = []
     for one in (1, 2):
         outward = (stop - start)[(gate == one) & (start > TRANSIENT)].sum()
-        entry = (told.kind == ENTRY) & (told.where == one) & (told.time > TRANSIENT)
-        inward = (leaves - told.time)[entry].sum()
+        entry = (events.kind == ENTRY) & (events.where == one) & (events.time > TRANSIENT)
+        inward = (leaves - events.time)[entry].sum()
         held.append(float(outward + inward + returning) / duration)
     return circuit.number - half - held[0], float(half - held[1])

@@ -1,4 +1,4 @@
-"""Event logs read as stories: what became of each entry into a gate, and who came from where."""
+"""Event logs by particle: the fate of each entry into a gate, and the events before and after."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ class Log:
 
 
 @dataclass(frozen=True)
-class Stories:
+class ParticleEvents:
     """The events of single particles, by particle and then time; fields of shape (event,).
 
     Attributes
@@ -96,8 +96,8 @@ def circuit_of(data: xr.Dataset) -> Circuit:
     return Circuit(urn_radius=radius, **{name: float(data[name]) for name in names})
 
 
-def stories(log: Log) -> Stories:
-    """Return the events by particle, with what became of each entry."""
+def particle_events(log: Log) -> ParticleEvents:
+    """Return the events by particle, with the fate of each entry."""
     place = np.flatnonzero(log.kind != REVERSAL)
     place = place[np.argsort(log.particle[place], kind="stable")]
     particle = log.particle[place]
@@ -115,22 +115,23 @@ def stories(log: Log) -> Stories:
         caught = following < own
         turned[mine[caught]] = log.time[following[caught]]
     columns = (log.time[place], log.kind[place], log.where[place], particle)
-    return Stories(*columns, before, after, turned)
+    return ParticleEvents(*columns, before, after, turned)
 
 
-def outward_stays(told: Stories) -> tuple[Integers, Floats, Floats]:
-    """Return (gate, from when, until when) of every stay in a gate with the way out ahead.
+def outward_stays(events: ParticleEvents) -> tuple[Integers, Floats, Floats]:
+    """Return (gate, begin, end) of every stay in a gate in which a particle moves outwards.
 
-    Those turned back leave as long after the reversal as they came before it; those who crossed the
-    middle line leave the other gate as long after it as they entered the first before it.
+    A reversed particle leaves as long after the reversal as it entered before it; one that crossed
+    the middle line leaves the other gate as long after the crossing as it entered the first before
+    it.
     """
-    entered = np.flatnonzero(told.kind == ENTRY)
-    turned = entered[np.isfinite(told.turned[entered])]
-    through = entered[np.isnan(told.turned[entered]) & (told.after[entered] >= 0)]
-    crossed = told.time[told.after[through]]
-    gate = np.concatenate([told.where[turned], 3 - told.where[through]])
-    start = np.concatenate([told.turned[turned], crossed])
-    stop = 2.0 * start - np.concatenate([told.time[turned], told.time[through]])
+    entered = np.flatnonzero(events.kind == ENTRY)
+    turned = entered[np.isfinite(events.turned[entered])]
+    through = entered[np.isnan(events.turned[entered]) & (events.after[entered] >= 0)]
+    crossed = events.time[events.after[through]]
+    gate = np.concatenate([events.where[turned], 3 - events.where[through]])
+    start = np.concatenate([events.turned[turned], crossed])
+    stop = 2.0 * start - np.concatenate([events.time[turned], events.time[through]])
     return gate, start, stop
 
 
@@ -140,15 +141,15 @@ def mean_of_groups(values: Floats) -> tuple[float, float]:
     return float(known.mean()), float(known.std(ddof=1) / math.sqrt(known.size))
 
 
-def entries_of(told: Stories) -> tuple[Floats, NDArray[np.int64], Floats]:
+def entries_of(events: ParticleEvents) -> tuple[Floats, NDArray[np.int64], Floats]:
     """Return (time, particle, cos(theta)) of entries into gate 1 that reach the end wall.
 
     Without a gate the flight from the chord to the wall takes (l/2)/cos(theta); here l = 1.
     """
-    entry = np.flatnonzero((told.kind == ENTRY) & (told.after >= 0))
-    entry = entry[told.kind[told.after[entry]] == CROSSING1]
-    flight = told.time[told.after[entry]] - told.time[entry]
-    return told.time[entry], told.particle[entry], 0.5 / flight
+    entry = np.flatnonzero((events.kind == ENTRY) & (events.after >= 0))
+    entry = entry[events.kind[events.after[entry]] == CROSSING1]
+    flight = events.time[events.after[entry]] - events.time[entry]
+    return events.time[entry], events.particle[entry], 0.5 / flight
 
 
 def autocorrelations(
@@ -157,7 +158,8 @@ def autocorrelations(
     """Return the autocorrelation of cos(theta), shape (group of particles, lag).
 
     Pairs begin before `last`, so that hardly any is cut off by the end of the run, which would
-    favour short visits. The mean is the cosine law's, pi/4; the variance is each group's own.
+    favour short visits. The mean is that of the cosine law, pi/4; the variance is that of each
+    group.
     """
     away = cosine - 0.25 * math.pi
     group = particle % GROUPS
@@ -171,16 +173,16 @@ def autocorrelations(
     return found
 
 
-def after_channel2(told: Stories, channel2_length: float = 1.0) -> tuple[Floats, Floats]:
+def after_channel2(events: ParticleEvents, channel2_length: float = 1.0) -> tuple[Floats, Floats]:
     """Return (share whose next event is channel 2 again, mean stay in the urn) by group.
 
-    The way from the line to the urn, and from the urn back to the line, takes pi l'/4 on average.
+    The path from the line to the urn, and from the urn back to the line, takes pi l'/4 on average.
     """
-    crossed = np.flatnonzero((told.kind == CROSSING2) & (told.after >= 0))
-    following = told.after[crossed]
-    again = told.kind[following] == CROSSING2
-    flight = told.time[following] - told.time[crossed]
-    group = told.particle[crossed] % GROUPS
+    crossed = np.flatnonzero((events.kind == CROSSING2) & (events.after >= 0))
+    following = events.after[crossed]
+    again = events.kind[following] == CROSSING2
+    flight = events.time[following] - events.time[crossed]
+    group = events.particle[crossed] % GROUPS
     count = np.bincount(group, minlength=GROUPS)
     share = np.bincount(group, again, minlength=GROUPS) / count
     half = 0.25 * math.pi * channel2_length

@@ -1,4 +1,4 @@
-"""What a study may use of the product: few doors, so that the product may change behind them."""
+"""Modules of the product that a study may use: few, so that the others may change."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pathlib import Path
 HERE = Path(__file__).parent
 # `import postproc` is for open_results; `from postproc import study` for Study
 DOORS = ("postproc.study", "postproc.figures.style")
-# theories that these hold against runs, and rungs of the ladder
+# theories that these compare with runs, and rungs of the ladder
 MORE = {
     "circulation": ("postproc.theory",),
     "circulation_and_densities": ("postproc.theory",),

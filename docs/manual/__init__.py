@@ -1,1 +1,1 @@
-"""The manual: `make docs` makes it of the pages in docs, of lists of the program and of sources."""
+"""The manual: `make docs` makes it from the pages in docs, lists of the program, and sources."""

@@ -1,7 +1,8 @@
-"""Makes the site: `make docs` calls it. Whatever is wrong is listed, and there is no site then.
+"""Makes the site: `make docs` calls it. All problems are listed, and then no site is made.
 
-With `--dry` nothing of the pages is tried: to see how they look. What lists of the program say of
-keys, results and options is written into the pages themselves first, to be read where they lie.
+With `--dry` no block of the pages is executed: to see how they look. The generated parts, lists of
+keys, results and options, are written into the pages themselves first, so that they can be read
+there.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ SITE = ROOT / "build/site"
 
 
 def main() -> int:
-    """Make all pages, then the site; return 1 if anything is wrong."""
+    """Make all pages, then the site; return 1 if there is a problem."""
     begin = time.monotonic()
     for folder in (SOURCE, WORK, SITE):
         shutil.rmtree(folder, ignore_errors=True)
@@ -89,7 +90,7 @@ def layers() -> dict[str, dict[str, str]]:
 
 
 def write_api() -> tuple[dict[str, list[str]], list[str]]:
-    """Write the pages of all layers; return their names, and what is not explained."""
+    """Write the pages of all layers; return their names, and public names without a docstring."""
     names: dict[str, list[str]] = {"Fortran": [], "Python": []}
     problems = []
     for layer, meaning in layers()["src"].items():

@@ -23,7 +23,7 @@ html_css_files = ["manual.css"]
 html_copy_source = False
 html_show_copyright = False
 html_show_sphinx = False
-# Summaries of search results are fetched: a browser forbids that for pages from disk.
+# A browser does not fetch the summaries of search results for pages from disk.
 html_show_search_summary = False
 html_math_renderer = "mathml"
 smartquotes = False  # w' is a width, 'urn' is a value

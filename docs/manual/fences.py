@@ -1,10 +1,10 @@
-"""Fenced blocks of the pages: namelists and commands are tried, tutorials are executed.
+"""Fenced blocks of the pages: namelists and commands are checked, tutorials are executed.
 
-The words behind three back quotes say what to do:
+The words after three back quotes decide what is done:
 
-- `fortran`: a namelist, or a part of one, must pass `battery --check`. `file=NAME`: it is that file
-  of the checkout, which its first line names.
-- `sh run`, `python run`: executed where the site is built; what it prints and draws is shown.
+- `fortran`: a namelist, or a part of one, must pass `battery --check`. `file=NAME`: it is a copy of
+  that file of the checkout, and its first line has the name.
+- `sh run`, `python run`: executed where the site is built; output and figures are shown.
 - `sh check`: executed, without showing anything.
 - `sh`, or none: each command must exist, with its target, options and files.
 """
@@ -41,20 +41,20 @@ ENVIRONMENT = {
 }
 
 
-# For the program without mpirun: it starts in half the time without a daemon of Open MPI beside it.
+# Settings for the program without mpirun: without a daemon of Open MPI it starts in half the time.
 ALONE = ENVIRONMENT | launcher.ALONE
 
 
 @dataclass
 class Fences:
-    """What is tried for one page, and what was wrong.
+    """Checks the blocks of one page, and collects the problems.
 
     Attributes
     ----------
     root : the checkout.
     folder : where namelists are written and commands of tutorials run.
     pictures : where pictures of this page are put, in the source of the site.
-    dry : whether nothing is tried, to see how pages look.
+    dry : whether no block is executed, to see how pages look.
     """
 
     root: Path
@@ -66,7 +66,7 @@ class Fences:
     helps: dict[str, str] = field(default_factory=dict)
 
     def shown(self, page: str, text: str) -> str:
-        """Return the text of a page with what its blocks gave; note what is wrong."""
+        """Return the text of a page with the output of its blocks; collect the problems."""
         self.folder.mkdir(parents=True, exist_ok=True)
         (self.folder / "start.txt").write_text(reference.START)
 
@@ -97,7 +97,7 @@ class Fences:
         return [], ""
 
     def _other_file(self, name: str, body: str) -> str:
-        """Say how a block that shows a file of the checkout is not that file; empty: it is."""
+        """Return how a block differs from the file that it shows; empty: it does not."""
         if not body.startswith(f"! {name}"):
             return f"the first line does not name {name}"
         path = self.root / name
@@ -140,7 +140,7 @@ class Fences:
         return [], self._output(printed.getvalue())
 
     def _output(self, printed: str) -> str:
-        """Return what was printed, and pictures that are open or were just written."""
+        """Return the printed output, and pictures that are open or were just written."""
         text = f"\n\n```text\n{printed.rstrip()}\n```" if printed.strip() else ""
         self.pictures.mkdir(parents=True, exist_ok=True)
         for number in plt.get_fignums():
@@ -165,7 +165,7 @@ class Fences:
         return wrong
 
     def _command(self, words: list[str], folder: Path) -> list[str]:
-        """Return what is wrong with a command that is called in a folder."""
+        """Return the problems of a command that is called in a folder."""
         if words[0] == "mpirun":
             at = next((at for at, one in enumerate(words) if "battery" in one), len(words))
             words = words[at:]
@@ -198,18 +198,18 @@ class Fences:
                 if "=" not in one and not re.search(rf"^{re.escape(one)}:", makefile, re.MULTILINE)]
 
     def _module(self, words: list[str], folder: Path) -> list[str]:
-        """Ask a module, or what it calls a subcommand, for its help: it must know the options."""
+        """Check options against the help of a module or of its subcommand."""
         at = 2 if words[1:2] and re.fullmatch(r"[a-z]\w*", words[1]) else 1
-        told = self._help(words[:at], folder) or self._help(words[:1], folder)
-        if not told:
+        help_text = self._help(words[:at], folder) or self._help(words[:1], folder)
+        if not help_text:
             return [f"{words[0]} cannot be called"]
         if words[0] == "pytest":
             return self._missing(words[1:], folder)
         options = [one.split("=")[0] for one in words[1:] if re.match(r"--\w", one)]
-        return [f"{words[0]} has no {one}" for one in options if one not in told]
+        return [f"{words[0]} has no {one}" for one in options if one not in help_text]
 
     def _help(self, words: list[str], folder: Path) -> str:
-        """Return what a module says to --help; nothing if it cannot be called."""
+        """Return the output of a module for --help; nothing if it cannot be called."""
         name = " ".join(words)
         if name not in self.helps:
             done = subprocess.run(

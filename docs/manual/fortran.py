@@ -1,4 +1,4 @@
-"""What the modules of src offer, read from their sources and the `!>` lines in them."""
+"""Public names of the modules of src, read from their sources and the `!>` lines in them."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ DECLARED = re.compile(r"^ +(\w.*?) :: (.*)$")
 
 @dataclass
 class Name:
-    """One public name: its kind, how it is declared, what is said of it, and its parts.
+    """One public name: its kind, declaration, explanation, and its parts.
 
     Attributes
     ----------
@@ -32,7 +32,7 @@ class Name:
 
 @dataclass
 class Module:
-    """A module: its place, what is said of it, its public names in their order."""
+    """A module: its file, its explanation, and its public names in their order."""
 
     name: str
     path: Path
@@ -63,7 +63,7 @@ def names_of(declared: str) -> list[str]:
 
 
 def read_module(path: Path) -> Module | None:
-    """Return what a file offers; None if it has no module of its own."""
+    """Return the module of a file; None if it has none."""
     lines = statements(path.read_text(encoding="utf-8"))
     at = next((at for at, (line, _) in enumerate(lines) if re.match(r"module \w+$", line)), None)
     if at is None:
@@ -133,16 +133,16 @@ def _add_part(here: Name, line: str, note: str, wanted: list[str]) -> None:
 
 
 def unexplained(module: Module) -> list[str]:
-    """Return the public names of a module that nothing is said of."""
+    """Return the public names of a module that have no explanation."""
     missing = [] if module.note else [f"{module.path}: {module.name}"]
     missing += [f"{module.path}: {one.name}" for one in module.names
                 if not one.note and one.kind != "constant"]
     return missing
 
 
-def page(room: str, meaning: str, modules: list[Module]) -> str:
-    """Return the page of a room."""
-    lines = [f"# Fortran: {room}", "", f"{meaning.capitalize()}.", ""]
+def page(layer: str, meaning: str, modules: list[Module]) -> str:
+    """Return the page of a layer."""
+    lines = [f"# Fortran: {layer}", "", f"{meaning.capitalize()}.", ""]
     for module in modules:
         lines += [f"## {module.name}", "", f"`{module.path.as_posix()}`", "", module.note, ""]
         shown: set[str] = set()
@@ -158,8 +158,8 @@ def page(room: str, meaning: str, modules: list[Module]) -> str:
 
 
 def _part(kind: str, declared: str, note: str) -> str:
-    said = f": {' '.join(note.split())}" if note else ""
-    return f"- `{declared}` ({_code(kind)}){said}"
+    explanation = f": {' '.join(note.split())}" if note else ""
+    return f"- `{declared}` ({_code(kind)}){explanation}"
 
 
 def _code(text: str) -> str:

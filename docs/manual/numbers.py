@@ -1,10 +1,10 @@
-"""Measured numbers of the pages: each section that has some says what they come from.
+"""Measured numbers of the pages: each section with such numbers must name their source.
 
 A measured number has a decimal point, an exponent, a per cent sign, a unit of time or memory, or an
-error. What stands in code or a formula, and what a name is set to (`w = 0.3`), is none. A section
-says where its numbers come from by a command, a file, or a link to a page or file. A section that
-has parts says it for them as well, and the introduction of a page that speaks of "numbers below"
-for all of it.
+error. Numbers in code or in formulas, and values of a name (`w = 0.3`), are not counted. The source
+of the numbers in a section is a command, a file, or a link to a page or file. The source of a
+section is also that of its parts, and the introduction of a page is the source for the whole page
+if it contains the words "numbers below".
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ NUMBER = re.compile(
 SPAN = re.compile(r"`+([^`]+)`+")
 LINK = re.compile(r"(?<!!)\[[^\]]*\]\((?!https?:)[^)\s]+\)")
 FORMULA = re.compile(r"\$[^$\n]+\$")
-# What a span may begin with, and where the thing that it names is.
+# Prefixes of a span of code, and the folder of the file that it names.
 COMMANDS = (
     (re.compile(r"make (\w+)"), "Makefile", r"^{}:"),
     (re.compile(r"(?:build/bin/)?(battery) [-\w]"), "app/{}.f90", ""),
@@ -42,7 +42,7 @@ PLACES = ("", "docs/", "test/", "src/", "postproc/")
 
 @dataclass
 class Section:
-    """A part of a page, without its parts."""
+    """A section of a page, without its subsections."""
 
     level: int
     title: str
@@ -51,12 +51,12 @@ class Section:
 
 
 def unsourced(root: Path, page: str, text: str) -> list[str]:
-    """Return the sections of a page whose numbers come from nowhere.
+    """Return the sections of a page that have measured numbers without a source.
 
     Parameters
     ----------
     root : the checkout.
-    page : the file of the page, as it is named in what is said.
+    page : the file of the page, as messages name it.
     text : all of it.
     """
     found, sourced = [], {}
@@ -65,7 +65,7 @@ def unsourced(root: Path, page: str, text: str) -> list[str]:
     whole = re.search(r"numbers?\s+below", first, re.IGNORECASE) and _has_source(root, first)
     for one in sections:
         sourced = {level: has for level, has in sourced.items() if level < one.level}
-        # What a title of a page says of itself is no source of its parts.
+        # The text under the title of a page is no source of its sections.
         above = any(has for level, has in sourced.items() if level > 1)
         sourced[one.level] = _has_source(root, one.text)
         numbers = measured(one.text)
@@ -76,14 +76,14 @@ def unsourced(root: Path, page: str, text: str) -> list[str]:
 
 
 def measured(text: str) -> list[str]:
-    """Return the measured numbers of a text, as they stand there."""
+    """Return the measured numbers of a text, as they are written."""
     plain = FORMULA.sub(" ", SPAN.sub(" ", FENCE.sub("", text)))
     plain = re.sub(r"\]\([^)]*\)", "]", plain)
     return [match[0] for match in NUMBER.finditer(plain)]
 
 
 def _sections(text: str) -> list[Section]:
-    """Return the parts of a page in their order; a mark in code is no heading."""
+    """Return the sections of a page in their order; a number sign in code is no heading."""
     blank = FENCE.sub(lambda match: re.sub(r"[^\n]", " ", match[0]), text)
     marks = list(HEADING.finditer(blank))
     ends = [*(mark.start() for mark in marks[1:]), len(text)]
@@ -95,7 +95,7 @@ def _sections(text: str) -> list[Section]:
 
 
 def _has_source(root: Path, text: str) -> bool:
-    """Tell whether a command, a file that is there, or a link stands in a text."""
+    """Tell whether a text contains a command, an existing file, or a link."""
     for match in FENCE.finditer(text):
         words = match[2].split()
         if FIRST.match(match[3]) or {"run", "check"} & set(words):

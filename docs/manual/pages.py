@@ -1,4 +1,4 @@
-"""The pages of the site: which there are, and where their links lead."""
+"""The pages of the site, and the targets of their links."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import shutil
 from pathlib import Path, PurePosixPath
 
 STUDIES = "Studies"
-# Captions of the side bar, and their pages: the name in the site, and the file it is made of.
+# Captions of the side bar, and their pages: the name in the site, and the source file.
 PAGES = {
     "Start": {
         "install": "docs/install.md",
@@ -45,8 +45,8 @@ PAGES = {
 }
 LINK = re.compile(r"(!?\[[^\]]*\]\()([^)\s]+)(\))")
 CODE = re.compile(r"```.*?^ *``` *$|`[^`\n]+`", re.MULTILINE | re.DOTALL)
-# Between these lines of a page stands what lists of the program make, or the table of a CSV file
-# beside it: as Markdown, to be read where the page lies.
+# Between these lines of a page is a generated part, from lists of the program or from a CSV file
+# beside the page: as Markdown, so that it can be read in the page itself.
 MADE = re.compile(
     r"(<!-- ([\w.]+): written by make docs -->\n\n).*?(<!-- end of \2 -->)", re.DOTALL
 )
@@ -54,7 +54,7 @@ PATH = re.compile(r"`((?:src|app|postproc|test|docs|namelists|studies)/[\w./-]+\
 
 
 def pages(root: Path) -> dict[str, str]:
-    """Return the name of each page, and the file it is made of; those that are not there not."""
+    """Return the name of each page that exists, and its source file."""
     found = {"index": "README.md"}
     for part in parts(root).values():
         found |= {name: file for name, file in part.items() if (root / file).exists()}
@@ -62,7 +62,7 @@ def pages(root: Path) -> dict[str, str]:
 
 
 def parts(root: Path) -> dict[str, dict[str, str]]:
-    """Return `PAGES` with those of the studies that are there."""
+    """Return `PAGES` with the pages of the existing studies."""
     studies = sorted((root / "studies").glob("*/README.md"))
     found = {f"study_{path.parent.name}": str(path.relative_to(root)) for path in studies}
     return PAGES | {STUDIES: PAGES[STUDIES] | found}
@@ -101,9 +101,9 @@ def contents(root: Path, api: dict[str, list[str]], there: dict[str, str]) -> st
 
 
 def linked(root: Path, source: Path, file: str, text: str) -> tuple[str, list[str]]:
-    """Return a page whose links lead within the site, and what leads nowhere.
+    """Return a page with its links changed to the site's, and the links that are broken.
 
-    A link to a file of the checkout that is no page leads to a copy of it.
+    A link to a file of the checkout that is not a page is changed to a copy of the file.
     """
     names = {place: name for name, place in pages(root).items()}
     problems = []

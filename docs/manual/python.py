@@ -1,4 +1,4 @@
-"""What the modules of postproc offer, read from their sources and docstrings."""
+"""Public names of the modules of postproc, read from their sources and docstrings."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ Named = ast.FunctionDef | ast.ClassDef
 
 
 def public(body: list[ast.stmt]) -> Iterator[Named]:
-    """Give the public functions and classes of a body."""
+    """Yield the public functions and classes of a body."""
     for node in body:
         if isinstance(node, ast.FunctionDef | ast.ClassDef) and not node.name.startswith("_"):
             yield node
@@ -30,14 +30,14 @@ def unexplained(path: Path) -> list[str]:
     return missing
 
 
-def page(room: str, meaning: str, files: list[Path], root: Path) -> str:
-    """Return the page of a room."""
-    lines = [f"# Python: {room}", "", f"{meaning.capitalize()}.", ""]
+def page(layer: str, meaning: str, files: list[Path], root: Path) -> str:
+    """Return the page of a layer."""
+    lines = [f"# Python: {layer}", "", f"{meaning.capitalize()}.", ""]
     for path in files:
         tree = ast.parse(path.read_text(encoding="utf-8"))
         parts = path.relative_to(root).with_suffix("").parts
         name = ".".join(part for part in parts if part != "__init__")
-        lines += [f"## {name}", "", _said(tree), ""]
+        lines += [f"## {name}", "", _docstring_of(tree), ""]
         for node in public(tree.body):
             lines += _entry(node, 3)
     return "\n".join(lines)
@@ -50,9 +50,10 @@ def _entry(node: Named, level: int) -> list[str]:
     else:
         bases = ", ".join(ast.unparse(base) for base in node.bases)
         head = f"class {node.name}" + (f"({bases})" if bases else "")
-    kept = [ast.unparse(one) for one in node.decorator_list]
-    head = "".join(f"@{one}\n" for one in kept) + head
-    lines = ["#" * level + f" {node.name}", "", "```python", head, "```", "", _said(node), ""]
+    decorators = [ast.unparse(one) for one in node.decorator_list]
+    head = "".join(f"@{one}\n" for one in decorators) + head
+    code = ["```python", head, "```"]
+    lines = ["#" * level + f" {node.name}", "", *code, "", _docstring_of(node), ""]
     if isinstance(node, ast.ClassDef):
         fields = [ast.unparse(one) for one in node.body if isinstance(one, ast.AnnAssign)]
         if fields:
@@ -62,8 +63,8 @@ def _entry(node: Named, level: int) -> list[str]:
     return lines
 
 
-def _said(node: Named | ast.Module) -> str:
-    """Return a docstring as Markdown: sections in bold, what they list as lists."""
+def _docstring_of(node: Named | ast.Module) -> str:
+    """Return a docstring as Markdown: headings of sections in bold, their entries as lists."""
     text = ast.get_docstring(node) or ""
     parts = re.split(r"^(\w+)\n-+$", text, flags=re.MULTILINE)
     found = [parts[0]]

@@ -1,4 +1,4 @@
-"""Input and output references: made from the program's keys and from a results file."""
+"""References of input and output, made from the program's keys and from a results file."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 SQUARE = "1, -1, 1, 1, -1, 1, -1, -1"
 HOUSE = "1, -1, 1, 1, 0, 2, -1, 1, -1, -1"
 
-# What stands in the snippet of a key: a value, or whole groups where a key needs others.
+# Example of a key: its value, or whole groups if the key needs other keys.
 EXAMPLES: dict[str, str | dict[str, dict[str, str]]] = {
     "table/urn_radius": "1, 0.8",
     "table/urn_sides": {"table": {"urn_shape": "'polygon'", "urn_sides": "6"}},
@@ -78,7 +78,7 @@ EXAMPLES: dict[str, str | dict[str, dict[str, str]]] = {
     "limits/wall_minutes": "115",
 }
 BASE = {"particles": {"number": "1000"}, "gate": {"threshold": "7"}}
-# All that a results file may hold, of a few particles.
+# A run of a few particles whose results file has all datasets.
 EVERYTHING = """&particles
   number = 100
 /
@@ -100,24 +100,24 @@ EVERYTHING = """&particles
   final_state = .true.
 /
 """
-# Attributes of a results file that are others with each machine, build or run.
+# Attributes of a results file that depend on machine, build or run.
 VARYING = {"compiler", "compiler_options", "created", "git_commit", "gsl_library", "hdf5_library",
            "initial_file_fingerprint", "mpi_library", "version"}  # fmt: skip
-# A file with the start of two particles, for the snippet that names one.
+# An initial file of two particles, for the example that names one.
 START = "-2 0.5 1 0\n2 -0.5 0 1\n"
-# What is allowed begins with one of these; before it stands what the key means.
+# The allowed values begin with one of these words; before them is the meaning of the key.
 TOLD = re.compile(
     r"(.*?); ((?:one (?:whole number|number|text)|whole numbers|numbers|first, last|'|\.true).*)"
 )
-# The keys that say how long a run is.
+# The keys for the length of a run.
 LENGTHS = {"collisions", "transient_collisions", "duration", "transient_duration"}
-# A key and what takes its place.
+# A key and the key that replaces it.
 EITHER = {"threshold_fraction": ("gate", "threshold")}
 
 
 @dataclass(frozen=True)
 class Key:
-    """A key of the namelist, as the program says it."""
+    """A key of the namelist, from the output of the program."""
 
     group: str
     name: str
@@ -129,27 +129,27 @@ class Key:
 
     @property
     def example(self) -> str:
-        """The key in its group, with a value."""
-        told = EXAMPLES.get(f"{self.group}/{self.name}", self.default)
-        groups = told if isinstance(told, dict) else {self.group: {self.name: told}}
+        """The key in its group, with a value, as a namelist."""
+        value = EXAMPLES.get(f"{self.group}/{self.name}", self.default)
+        groups = value if isinstance(value, dict) else {self.group: {self.name: value}}
         return written(groups)
 
 
 def generated(root: Path, folder: Path) -> tuple[dict[str, str], list[str]]:
-    """Return the parts of pages that lists of the program make, and what is wrong with them.
+    """Return the generated parts of pages, and the problems with them.
 
-    A run in `folder` leaves a results file with all that there may be.
+    A run in `folder` writes a results file with all datasets.
     """
     program = root / "build/bin/battery"
     keys = all_keys(program, root / "src/run/keys.f90")
     (folder / "everything.nml").write_text(EVERYTHING)
     subprocess.run([program, "--quiet", "--overwrite", "everything.nml"], cwd=folder, check=True)
     results = folder / "everything.h5"
-    told = said(program, "--help").split("\nGroups and keys")[0].rstrip()
+    help_text = said(program, "--help").split("\nGroups and keys")[0].rstrip()
     parts = {
         "keys": input_table(keys),
         "datasets": output_table(results),
-        "help": f"```text\n{told}\n```\n",
+        "help": f"```text\n{help_text}\n```\n",
     }
     return parts, unexplained(results)
 
@@ -163,7 +163,7 @@ def written(groups: dict[str, dict[str, str]]) -> str:
 
 
 def completed(text: str) -> str:
-    """Return a namelist with what it needs to be whole and short enough to be looked at."""
+    """Return a namelist completed by the keys that it needs for a valid, short run."""
     groups = f90nml.Parser().reads(text).todict()
     for group, keys in BASE.items():
         for name, value in keys.items():
@@ -171,7 +171,7 @@ def completed(text: str) -> str:
             instead = [other for other, place in EITHER.items() if place == (group, name)]
             if not any(one in there for one in (name, *instead)):
                 groups.setdefault(group, {})[name] = int(value)
-    # `--check` tries how fast a run is, for as long as it may last.
+    # `--check` measures the speed of a run, for at most the length of the run.
     if not LENGTHS & groups.setdefault("run", {}).keys():
         groups["run"] |= {"collisions": 100000, "transient_collisions": 0}
     scanned = groups.get("scan", {})
@@ -187,23 +187,23 @@ def all_keys(program: Path, source: Path) -> list[Key]:
         return _from_help(said(program, "--help"), source.read_text(encoding="utf-8"))
     found = []
     for group, keys in json.loads(schema)["properties"].items():
-        for name, told in keys["properties"].items():
-            parts = re.split("; (unit|in the paper|default): ", told["description"])
+        for name, entry in keys["properties"].items():
+            parts = re.split("; (unit|in the paper|default): ", entry["description"])
             of = dict(zip(parts[1::2], parts[2::2], strict=True))
-            place = (of.get("default", ""), *_told(parts[0]))
+            place = (of.get("default", ""), *_meaning_and_allowed(parts[0]))
             found.append(Key(group, name, *place, of.get("unit", ""), of.get("in the paper", "")))
     return found
 
 
-def _told(text: str) -> tuple[str, str]:
+def _meaning_and_allowed(text: str) -> tuple[str, str]:
     match = TOLD.fullmatch(text)
     if match is None:
-        raise ValueError(f"not told what a key means, and what is allowed: {text}")
+        raise ValueError(f"no meaning and allowed values of a key: {text}")
     return match[1], match[2]
 
 
 def said(program: Path, option: str) -> str:
-    """Return what the program prints."""
+    """Return the output of the program for an option."""
     return subprocess.run(
         [program, option], check=False, text=True, stdin=subprocess.DEVNULL, capture_output=True
     ).stdout
@@ -219,7 +219,7 @@ def _from_help(help_text: str, source: str) -> list[Key]:
             name, default = match[1], "" if match[2] == "none" else match[2]
             own = re.search(rf"key_type\('\w+', '{name.removesuffix('_range')}', .*?\)[,\]]", text)
             unit, symbol = (_argument(own[0] if own else "", word) for word in ("unit", "symbol"))
-            found.append(Key(group, name, default, *_told(match[3]), unit, symbol))
+            found.append(Key(group, name, default, *_meaning_and_allowed(match[3]), unit, symbol))
     return found
 
 
@@ -229,7 +229,7 @@ def _argument(call: str, word: str) -> str:
 
 
 def input_table(keys: list[Key]) -> str:
-    """Return the reference of all keys, a heading a group and a key."""
+    """Return the reference of all keys, with a heading for each group and key."""
     lines, group = [], ""
     for key in keys:
         if key.group != group:
@@ -249,7 +249,7 @@ def sentence(text: str) -> str:
 
 
 def output_table(path: Path) -> str:
-    """Return the reference of what is in a results file: of all datasets and attributes."""
+    """Return the reference of all datasets and attributes of a results file."""
     lines = []
     with h5py.File(path, "r") as file:
         groups: dict[str, list[h5py.Dataset]] = {}
@@ -273,7 +273,7 @@ def output_table(path: Path) -> str:
 
 
 def unexplained(path: Path) -> list[str]:
-    """Return the datasets of a results file that say no unit or no meaning."""
+    """Return the datasets of a results file without a unit or a meaning."""
     missing = []
     with h5py.File(path, "r") as file:
 

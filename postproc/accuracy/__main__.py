@@ -1,6 +1,6 @@
 """Makes the speed-accuracy charts and tables of the ladder of models, and those of stability.
 
-Parts are made in order; a run that is complete is not repeated, one that was interrupted goes on.
+Parts are made in order; a complete run is not repeated, an interrupted one is resumed.
 """
 
 from __future__ import annotations
@@ -17,14 +17,14 @@ PARTS = ("stability", "polygons", "observables", "ladder_map")  # modules here w
 
 
 def make(part: str, study: Study) -> None:
-    """Make one part, and say how long it took."""
+    """Make one part, and print how long it took."""
     began = time.monotonic()
     importlib.import_module(f"postproc.accuracy.{part}").run(study)
     print(f"{part}: {time.monotonic() - began:.0f} s", flush=True)
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Make all parts, or those that are named."""
+    """Make all parts, or the named ones."""
     options = cli.parser("accuracy", __doc__)
     add_options(options, ROOT / "build/accuracy", PARTS)
     given = options.parse_args(arguments)

@@ -1,21 +1,23 @@
-"""Which rung of the ladder is good enough for a quantity, and how many runs it takes.
+"""The cheapest theory or engine that is accurate enough for a quantity, and the number of runs.
 
-A pilot tells: short runs of `excursion` in independent replicas. Their scatter says how many of
-their kind meet a tolerance, their mean, with its error, how far off each theory is. So nothing is
-taken from other circuits, and what is advised holds for unlike urns as well. Chances are Student's,
-for the scatter of few replicas is itself uncertain.
+The advice is from a pilot: short runs of `excursion` in independent replicas. From their scatter
+follows how many such replicas meet a tolerance, from their mean and its error the error of each
+theory. So nothing is taken from other circuits, and the advice holds for unequal urns as well.
+Probabilities are from Student's distribution, since the scatter of few replicas is itself
+uncertain.
 
-More replicas are advised, not longer ones: what a replica of another length would scatter by is not
-known where it is as long as its memory. Each measures twice its transient (`transients`): that of
-chi, or, of a current, what the tolerance asks for. A quarter of the tolerance may be lacking for
-want of age; replicas share the rest. So the pilot of a current is made a second time where the
-first one was too young.
+More replicas are advised, not longer ones: the scatter of replicas of another length is not known
+if the length is comparable to their correlation time. Each measures for twice its transient
+(`transients`): that of chi or, for a current, the one that the tolerance requires. A quarter of the
+tolerance is left for the part of the current that is missing since the run is young; the rest is
+for the statistical error of the replicas. So the pilot of a current is repeated if its transient
+was too short.
 
-A particle that goes round and round may do so for all of a run. It begins with the chance R a unit
-of time, lasts m rounds or more with 1/m, at most until the sparse gate turns it back, and so adds
-R min(t/L, 1/(1 - q))/t to the variance of a mean over t.
+A circulating particle may make rounds for the whole run. Circulations begin at the rate R, make m
+rounds or more with the probability 1/m, at most until the gate of the sparse urn reverses them, and
+so add R min(t/L, 1/(1 - q))/t to the variance of a mean over t.
 
-A pilot is data: where its own error meets the tolerance there is nothing more to be run.
+A pilot is data: if its own error meets the tolerance, no more runs are necessary.
 """
 
 from __future__ import annotations
@@ -51,36 +53,36 @@ if TYPE_CHECKING:
     Groups = dict[str, dict[str, object]]
 
 QUANTITIES = ("chi", "polarised_current", "transition")
-SURE = 0.95  # chance with which the advised run meets the tolerance
+SURE = 0.95  # probability with which the advised runs meet the tolerance
 REPLICAS = 16  # of a pilot
-LACKING = 0.25  # of the tolerance, that a current may lack for want of age
-NEAR = 1.1  # factor by which a pilot's transient may be shorter than what its own answer asks for
-LARGE = 0.75  # chi below which it may be next to a transition
+LACKING = 0.25  # of the tolerance: part of a current that may be missing in a young run
+NEAR = 1.1  # factor by which a pilot's transient may be shorter than its own result requires
+LARGE = 0.75  # chi below which the circuit may be close to a transition
 MEASURED = 2.0  # transients that a replica measures
 FEWEST = 4  # replicas of advised runs
 POLARISED = 0.05  # share of urn 1 at the start
-SCAN = 8.0  # states of a theory that its transition takes, about
-PATIENCE = 5.0  # for a finer theory, in s, that tells whether errors cancel
+SCAN = 8.0  # number of states that a theory computes for its transition, about
+PATIENCE = 5.0  # s, limit for a finer theory, which shows whether errors cancel
 ACROSS = 5  # thresholds of a scan across a transition
 LEAST = 1e-300  # error where replicas do not scatter
-TRIED = 100_000  # particles of a run that tells what a pilot takes
-SHIFTS = 4  # times that they are moved where chi does not fall through there
+TRIED = 100_000  # particles of a run from which the cost of a pilot is estimated
+SHIFTS = 4  # times that thresholds are moved if chi does not fall through `HALFWAY` there
 
 
 @dataclass(frozen=True)
 class Pilot:
-    """What short runs say.
+    """Results of the pilot, short runs of `excursion`.
 
     Attributes
     ----------
-    value : of the quantity, mean of the replicas.
+    value : mean of the quantity over the replicas.
     scatter : standard deviation of one replica.
-    circulating : variance of a replica that particles which go round add, however long it is.
-    transient, measured : time of a replica before and while it is measured.
-    per_time : processor time of a unit of time, of all thresholds that are run, in s.
-    seconds : processor time of all of the pilot.
-    thresholds : that are run, of a transition.
-    lacking : what the value is too small by for want of age, in theory.
+    circulating : variance of a replica that circulating particles add.
+    transient, measured : time of a replica before and during the measurement.
+    per_time : processor time per unit of time, for all thresholds of the runs, in s.
+    seconds : processor time of the whole pilot.
+    thresholds : T of the runs, for a transition.
+    lacking : by how much the value is too small since the run is young, by theory.
     """
 
     value: float
@@ -101,19 +103,19 @@ class Pilot:
 
 @dataclass(frozen=True)
 class Advice:
-    """What to do.
+    """Advised theory or runs.
 
     Attributes
     ----------
     rung : a theory of `postproc.theory --model`, or the engine `excursion`.
     replicas, duration, transient_duration : of the runs, as in the namelist; 0 of a theory.
         With `cpu_seconds` 0 they are the pilot's, and `expected` is the answer.
-    urn1_number : how many begin in urn 1.
-    cpu_seconds : processor time of it, without the pilot's; 0: the pilot is enough.
-    confidence : chance that the tolerance is met.
+    urn1_number : number of particles that begin in urn 1.
+    cpu_seconds : processor time, without the pilot's; 0: the pilot is enough.
+    confidence : probability that the tolerance is met.
     reason : in sentences.
     expected : the pilot's value.
-    pilot_seconds : what it took to find out.
+    pilot_seconds : processor time of the pilot.
     thresholds : of a scan across the transition.
     """
 
@@ -164,10 +166,10 @@ def namelist_of(
 def cost_of(
     groups: Groups, quantity: str, thresholds: list[int] | None, length: Mapping[str, object]
 ) -> float:
-    """Return about how much processor time such runs take, in s.
+    """Return an estimate of the processor time of such runs, in s.
 
-    The program tries one; of many particles a smaller one at the same density, for it takes minutes
-    to place 1e8, and time goes as their number, or somewhat faster.
+    The program measures one; for many particles a smaller one at the same density, since it takes
+    minutes to place 1e8, and the time is proportional to their number, or grows somewhat faster.
     """
     number = int(groups["particles"]["number"])
     share = min(1.0, TRIED / number)
@@ -185,7 +187,7 @@ def cost_of(
 def runs(
     groups: Groups, quantity: str, thresholds: list[int] | None, length: Mapping[str, object]
 ) -> Outcome:
-    """Make the runs of `namelist_of`; return what they say."""
+    """Make the runs of `namelist_of`; return their results."""
     namelist = namelist_of(groups, quantity, thresholds, length)
     with tempfile.TemporaryDirectory(prefix="advice") as folder:
         try:
@@ -196,7 +198,7 @@ def runs(
 
 
 def start_of(groups: Groups, quantity: str) -> int:
-    """Return how many begin in urn 1: those the namelist names, else a twentieth or a third."""
+    """Return how many begin in urn 1: as in the namelist, else a twentieth or a third."""
     number, named = int(groups["particles"]["number"]), groups["particles"].get("urn1_number")
     share = 0.3 if quantity == "transition" else POLARISED
     return int(named) if named is not None else round(share * number)
@@ -204,7 +206,7 @@ def start_of(groups: Groups, quantity: str) -> int:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What runs say: value, scatter of a replica, chi (of each threshold), processor time."""
+    """Results of runs: value, scatter of a replica, chi (of each threshold), processor time."""
 
     value: float
     scatter: float
@@ -213,7 +215,7 @@ class Outcome:
 
 
 def read(file: Path, quantity: str) -> Outcome:
-    """Return what a file of runs says."""
+    """Return the results of runs from their file."""
     with Results(file) as results:
         chi, seconds = results.value("chi"), float(results.value("cpu_seconds").sum())
         if quantity == "transition":
@@ -227,7 +229,7 @@ def read(file: Path, quantity: str) -> Outcome:
 def transition_of_runs(thresholds: Floats, chi: Floats) -> tuple[float, float]:
     """Return the T at which the mean chi of replicas falls through, and a replica's scatter of it.
 
-    Runs at different T are independent: what each moves it by, by its own scatter, adds up.
+    Runs at different T are independent: the variances that they add to the transition add up.
     """
     mean = chi.mean(axis=1)
     value, square, count = ladder.transition(thresholds, mean), 0.0, chi.shape[1]
@@ -242,9 +244,9 @@ def pilot(
     groups: Groups, circuit: Circuit, quantity: str, tolerance: float, seed: int = 1,
     longest: float = math.inf,
 ) -> Pilot:  # fmt: skip
-    """Run it; again with a longer transient, or at other thresholds, if its answer asks for that.
+    """Make the pilot; repeat it with another transient or other thresholds if its result requires.
 
-    Raises `InputError` before it would take more than `longest` of a processor in all, in s.
+    Raises `InputError` if it would take more than `longest` of processor time in all, in s.
     """
     thresholds = thresholds_of(circuit) if quantity == "transition" else None
     transient, seconds = transients.of_chi(circuit, critical=quantity == "transition"), 0.0
@@ -254,37 +256,37 @@ def pilot(
             "duration": (1.0 + MEASURED) * transient,
         }  # fmt: skip
         if math.isfinite(longest):
-            asked = seconds + cost_of(groups, quantity, thresholds, length)
-            if asked > longest:
+            expected_seconds = seconds + cost_of(groups, quantity, thresholds, length)
+            if expected_seconds > longest:
                 raise InputError(
-                    f"the pilot takes about {asked:.2g} s of a processor; "
-                    f"--pilot-seconds {math.ceil(1.5 * asked)} lets it"
+                    f"the pilot takes about {expected_seconds:.2g} s of a processor; "
+                    f"--pilot-seconds {math.ceil(1.5 * expected_seconds)} lets it"
                 )
-        told, of_this = runs(groups, quantity, thresholds, length), transient
-        seconds += told.seconds
-        if thresholds and not (math.isfinite(told.value) and math.isfinite(told.scatter)):
-            thresholds = moved(thresholds, told.chi)
+        outcome, of_this = runs(groups, quantity, thresholds, length), transient
+        seconds += outcome.seconds
+        if thresholds and not (math.isfinite(outcome.value) and math.isfinite(outcome.scatter)):
+            thresholds = moved(thresholds, outcome.chi)
             continue
         if not thresholds:
-            transient = max(transient, transient_of(circuit, quantity, tolerance, told))
+            transient = max(transient, transient_of(circuit, quantity, tolerance, outcome))
         if transient <= NEAR * of_this:
             break
     measured, around, lacking = MEASURED * of_this, 0.0, 0.0
     if quantity == "polarised_current":
         around = circulating(circuit, measured)
-        lacking = float(transients.missing(circuit, float(told.chi[0]), of_this, measured))
-    per_time = told.seconds / (REPLICAS * (of_this + measured))
-    return Pilot(told.value, told.scatter, around, of_this, measured, per_time, seconds, thresholds,
-                 lacking)  # fmt: skip
+        lacking = float(transients.missing(circuit, float(outcome.chi[0]), of_this, measured))
+    per_time = outcome.seconds / (REPLICAS * (of_this + measured))
+    return Pilot(outcome.value, outcome.scatter, around, of_this, measured, per_time, seconds,
+                 thresholds, lacking)  # fmt: skip
 
 
-def transient_of(circuit: Circuit, quantity: str, tolerance: float, told: Outcome) -> float:
-    """Return the transient that a quantity asks for within a tolerance, from what runs say."""
-    chi = float(told.chi[0])
+def transient_of(circuit: Circuit, quantity: str, tolerance: float, outcome: Outcome) -> float:
+    """Return the transient that a quantity requires within a tolerance, from results of runs."""
+    chi = float(outcome.chi[0])
     settled = transients.of_chi(circuit, critical=not chi > LARGE)
-    if quantity != "polarised_current" or not math.isfinite(told.value):
+    if quantity != "polarised_current" or not math.isfinite(outcome.value):
         return settled
-    allowed = LACKING * tolerance * abs(told.value)
+    allowed = LACKING * tolerance * abs(outcome.value)
     return transients.of_current(circuit, chi, allowed, shortest=settled, times=MEASURED)
 
 
@@ -301,7 +303,7 @@ def across(first: int, step: int) -> list[int]:
 
 
 def circulating(circuit: Circuit, duration: float) -> float:
-    """Return what particles that go round add to the variance of a current over a time."""
+    """Return the variance that circulating particles add to a mean current over a time."""
     if float(circuit.channel2_width) == 0.0:
         return 0.0
     stable = MODELS["renewal"].solve_stable(circuit)
@@ -320,9 +322,9 @@ def circulating(circuit: Circuit, duration: float) -> float:
 
 
 def thresholds_of(circuit: Circuit) -> list[int]:
-    """Return thresholds across the upper transition, about where two ports have it.
+    """Return thresholds across the upper transition, around that of the theory `two_port`.
 
-    Where these know none, about the number that a gate of equal shares would hold.
+    If that theory has none, around the number that a gate holds at equal densities.
     """
     at = transition_of(circuit, MODELS["two_port"])
     if not math.isfinite(at):
@@ -338,8 +340,8 @@ def transition_of(circuit: Circuit, model: Model) -> float:
     """
 
     def chi(threshold: int) -> float:
-        asked = replace(circuit, threshold=threshold, gate2_threshold=None)
-        return max((one.mass_spread for one in model.solve_stable(asked)), default=0.0)
+        at_threshold = replace(circuit, threshold=threshold, gate2_threshold=None)
+        return max((one.mass_spread for one in model.solve_stable(at_threshold)), default=0.0)
 
     load = float(gate_load(circuit, 0.5 * float(circuit.number)))
     tried = [max(1, round(load * factor)) for factor in (1.0, 0.7, 0.85, 1.2)]
@@ -356,7 +358,7 @@ def transition_of(circuit: Circuit, model: Model) -> float:
 def theory_says(
     circuit: Circuit, model: Model, quantity: str, spread: float | None
 ) -> tuple[float, float]:
-    """Return what a theory says, NaN if nothing, and its processor time.
+    """Return a theory's value, NaN if it has none, and its processor time.
 
     Of several stable states that whose chi is nearest to `spread`.
     """
@@ -378,7 +380,7 @@ def theory_says(
 def chance_of_theory(
     found: Pilot, value: float, tolerance: float, other_error: float = 0.0
 ) -> float:
-    """Return the chance that a theory's value is within a tolerance of what is true.
+    """Return the probability that a theory's value is within a tolerance of the true value.
 
     Or of another measurement, which has a standard error of its own.
     """
@@ -390,7 +392,7 @@ def chance_of_theory(
 def chance_of_runs(
     found: Pilot, replicas: int, tolerance: float, other_error: float = 0.0
 ) -> float:
-    """Return the chance that so many replicas are within a tolerance, as `chance_of_theory`."""
+    """Return the probability that so many replicas meet a tolerance, as `chance_of_theory`."""
     error = max(LEAST, math.hypot(found.error / math.sqrt(replicas), other_error))
     within = tolerance * abs(found.value)
     ends = (found.lacking + np.array([-within, within])) / error
@@ -398,9 +400,9 @@ def chance_of_runs(
 
 
 def replicas_for(found: Pilot, tolerance: float) -> int:
-    """Return how many replicas meet the tolerance with `SURE`, less what is lacking.
+    """Return how many replicas meet the tolerance, less `lacking`, with the probability `SURE`.
 
-    Where as much is lacking as is tolerated no number does: those that the scatter asks for.
+    If `lacking` exceeds the tolerance no number does: then the number that the scatter requires.
     """
     wanted = tolerance * abs(found.value)
     left = wanted - abs(found.lacking)
@@ -413,18 +415,18 @@ def advise(
     groups: Groups, circuit: Circuit, quantity: str, tolerance: float, found: Pilot | None = None,
     *, longest: float = math.inf,
 ) -> Advice:  # fmt: skip
-    """Return the cheapest rung that meets a relative tolerance with the chance `SURE`.
+    """Return the cheapest rung that meets a relative tolerance with the probability `SURE`.
 
-    Where these are runs and the pilot's are enough, these. However much time that takes: it is
-    told. Where there is no such quantity the rung is "none".
+    If that is an engine and the pilot is enough, its runs. The time is not limited; it is part of
+    the advice. If the quantity does not exist, the rung is "none".
 
     Parameters
     ----------
     groups : of the namelist: table, particles, gate.
     circuit : the same.
     quantity : one of `QUANTITIES`.
-    found : what a pilot said, if one was run.
-    longest : what a pilot may take of a processor, in s.
+    found : results of a pilot, if one was made.
+    longest : largest processor time of a pilot, in s.
     """
     found = found or pilot(groups, circuit, quantity, tolerance, longest=longest)
     start = start_of(groups, quantity)
@@ -437,12 +439,12 @@ def advise(
     replicas = replicas_for(found, tolerance)
     cost = replicas * (found.transient + found.measured) * found.per_time
     error = found.error / math.sqrt(REPLICAS)
-    told = (
+    needed = (
         f"A pilot of {REPLICAS} runs has {found.value:.4g} +- {error:.1g}, "
         f"each scatters by {found.error / abs(found.value):.2g} of it"
     )
     if found.lacking:
-        told += (
+        needed += (
             f"; behind a transient of {found.transient:g} it lacks "
             f"{100.0 * found.lacking / abs(found.value):.2g} % by theory, for circulations are "
             "still filling up"
@@ -452,19 +454,19 @@ def advise(
     met += model_errors.words(circuit, quantity)
     off = []
     for name, model in MODELS.items():
-        value, seconds = _asked(circuit, model, found, quantity, cost)
+        value, seconds = _theory_within(circuit, model, found, quantity, cost)
         if seconds >= cost or not math.isfinite(value):
             continue
         chance = chance_of_theory(found, value, tolerance)
         apart = f"{100.0 * _apart(found, value):.2g} %"
         if chance >= SURE:
             reason = (
-                f"{told}; the theory {name} says {value:.4g}, {apart} off, in less time than runs "
-                f"take.{_cancelling(circuit, name, found, quantity, tolerance)}{met}"
+                f"{needed}; the theory {name} says {value:.4g}, {apart} off, in less time than "
+                f"runs take.{_cancelling(circuit, name, found, quantity, tolerance)}{met}"
             )
             return Advice(name, 0, 0.0, 0.0, start, seconds, chance, reason, *rest)
         off.append(f"{name} by {apart}")
-    reason = f"{told}; theories that cost less are off: {', '.join(off) or 'none'}.{met}"
+    reason = f"{needed}; theories that cost less are off: {', '.join(off) or 'none'}.{met}"
     if enough:
         replicas, cost = REPLICAS, 0.0
     chance = chance_of_runs(found, replicas, tolerance)
@@ -472,12 +474,13 @@ def advise(
                   cost, chance, reason, *rest)  # fmt: skip
 
 
-def _asked(
+def _theory_within(
     circuit: Circuit, model: Model, found: Pilot, quantity: str, longest: float
 ) -> tuple[float, float]:
-    """Return what a theory says and its processor time; NaN and infinity if that is too long.
+    """Return a theory's value and its processor time; NaN and infinity if that is too long.
 
-    Or if it says nothing of the circuit, or draws numbers: chances take a theory as exact.
+    Also if it does not apply to the circuit, or uses random numbers: the probabilities take a
+    theory's value as exact.
     """
     least = model.seconds * (SCAN if quantity == "transition" else 1.0)
     if least >= longest or model.draws or model.refusal(circuit):
@@ -488,16 +491,16 @@ def _asked(
 
 
 def _apart(found: Pilot, value: float) -> float:
-    """Return how far a theory is from the pilot, what that lacks added to it."""
+    """Return the difference of a theory from the pilot, corrected by `lacking`."""
     return abs(value - found.value - found.lacking) / abs(found.value)
 
 
 def _cancelling(
     circuit: Circuit, name: str, found: Pilot, quantity: str, tolerance: float
 ) -> str:  # fmt: skip
-    """Return in words that a theory is good by chance: one that has all of it and more is not."""
+    """Return a remark if errors of a theory cancel: a theory with more physics is less accurate."""
     for finer in (one for one in MODELS if name in ancestry(one)[:-1]):
-        value, _ = _asked(circuit, MODELS[finer], found, quantity, PATIENCE)
+        value, _ = _theory_within(circuit, MODELS[finer], found, quantity, PATIENCE)
         if math.isfinite(value) and chance_of_theory(found, value, tolerance) < 1.0 - SURE:
             return (
                 f" There errors cancel: {finer}, which has all of its physics and more, is "

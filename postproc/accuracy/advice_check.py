@@ -1,11 +1,12 @@
-"""Whether advice is right, by hand: python -m postproc.accuracy.advice_check [POINTS [SEED]].
+"""Checks advice against long runs: python -m postproc.accuracy.advice_check [POINTS [SEED]].
 
-Circuits are drawn, with tolerances from 0.3 to 10 %, of currents to 1 %. What is advised is done,
-with seeds of its own unless the pilot is the answer, and held against runs whose transient is ten
-times as long. These measure five times as long as well, so that half as many do. Their error is
-known and makes the promise somewhat smaller (`here`; `sure` is what advice says). Printed: a line a
-point, and last how often the tolerance was met, how often that was promised, and two standard
-deviations of chance; exit code 1 where they disagree by more. Takes half an hour or so of one core.
+Circuits are drawn at random, with tolerances from 0.3 to 10 %, for currents from 1 %. The advised
+runs are made, with other seeds unless the pilot is the answer, and compared with runs whose
+transient is ten times as long. These measure for five times as long as well, so that half as many
+are enough. Their error makes the promised probability somewhat smaller (`here`; `sure` is that of
+the advice). Prints a line for each point, then how often the tolerance was met, how often that was
+promised, and two standard deviations of this number; exit code 1 if they disagree by more. Takes
+about half an hour of one core.
 """
 
 from __future__ import annotations
@@ -23,15 +24,15 @@ from postproc.theory.models import MODELS
 if TYPE_CHECKING:
     from postproc.accuracy.advice import Advice, Groups, Pilot
 
-OLDER = 10.0  # transients of what is held against, over the pilot's; it measures as long again
-FEWER = 0.5  # replicas of it, over those that would be advised
-LARGEST = 60.0  # processor time of what is held against, in s, beyond which it is not made
+OLDER = 10.0  # transient of the long runs, over the pilot's; they measure for the same time
+FEWER = 0.5  # replicas of the long runs, over those that would be advised
+LARGEST = 60.0  # s, processor time of the long runs beyond which they are not made
 TOLERANCES = {"chi": (0.003, 0.1), "polarised_current": (0.003, 0.01), "transition": (0.003, 0.1)}
 KINDS = ("chi", "polarised_current", "chi", "polarised_current", "transition")
 
 
 def drawn(random: np.random.Generator) -> Circuit:
-    """Return a circuit of some hundred particles, with urns and lengths of its own."""
+    """Draw a circuit of a few hundred particles, with random urns and lengths."""
     number = int(random.integers(150, 500))
     return Circuit(
         number,
@@ -45,7 +46,7 @@ def drawn(random: np.random.Generator) -> Circuit:
 
 
 def done(groups: Groups, circuit: Circuit, quantity: str, given: Advice) -> float:
-    """Return what comes out where the advice is followed."""
+    """Return the value that is found by following the advice."""
     if given.replicas == 0:
         spread = given.expected if quantity == "chi" else None
         return advice.theory_says(circuit, MODELS[given.rung], quantity, spread)[0]
@@ -59,7 +60,7 @@ def done(groups: Groups, circuit: Circuit, quantity: str, given: Advice) -> floa
 
 
 def length_of_truth(found: Pilot, replicas: int) -> dict[str, int | float]:
-    """Return how long runs go that are ten times as old as the pilot, where so many are advised."""
+    """Return the length of runs that are ten times as old as the pilot, for so many replicas."""
     transient = OLDER * found.transient
     return {
         "replicas": max(math.ceil(FEWER * replicas), advice.REPLICAS), "seed": 3,
@@ -74,12 +75,12 @@ def main(arguments: list[str] | None = None) -> int:
     options.add_argument("seed", metavar="SEED", nargs="?", type=cli.integer(0), default=1)
     words = options.parse_args(arguments)
     wanted, random = words.points, np.random.default_rng(words.seed)
-    met, promised, said, left = [], [], 0, [0, 0]
+    met, promised, counted, left = [], [], 0, [0, 0]
     print(f"{'N':>4} {'T':>3} {'w':>5} {'w2':>6} {'quantity':18} {'within':>6} {'rung':10} "
           f"{'cost/s':>7} {'sure':>5} {'here':>5} {'found':>7} {'truth':>7} {'off':>8} "
           "met")  # fmt: skip
-    while said < wanted:
-        circuit, quantity = drawn(random), KINDS[said % len(KINDS)]
+    while counted < wanted:
+        circuit, quantity = drawn(random), KINDS[counted % len(KINDS)]
         tolerance = float(10.0 ** random.uniform(*np.log10(TOLERANCES[quantity])))
         groups = advice.table_of(circuit)
         if quantity == "polarised_current":
@@ -96,8 +97,8 @@ def main(arguments: list[str] | None = None) -> int:
         if length["replicas"] * length["duration"] * found.per_time > LARGEST:
             left[0] += 1
             continue
-        told = advice.runs(groups, quantity, found.thresholds, length)
-        true, error = told.value, told.scatter / math.sqrt(length["replicas"])
+        outcome = advice.runs(groups, quantity, found.thresholds, length)
+        true, error = outcome.value, outcome.scatter / math.sqrt(length["replicas"])
         value = done(groups, circuit, quantity, given)
         off = value / true - 1.0
         met.append(abs(off) <= tolerance)
@@ -105,7 +106,7 @@ def main(arguments: list[str] | None = None) -> int:
             advice.chance_of_runs(found, given.replicas, tolerance, error) if given.replicas
             else advice.chance_of_theory(found, value, tolerance, error)
         )  # fmt: skip
-        said += 1
+        counted += 1
         print(f"{circuit.number:4d} {circuit.threshold:3d} {circuit.channel1_width:5.3f} "
               f"{circuit.channel2_width:6.4f} {quantity:18} {tolerance:6.4f} {given.rung:10} "
               f"{given.cpu_seconds:7.3f} {given.confidence:5.3f} {promised[-1]:5.3f} {value:7.4g} "
@@ -113,7 +114,8 @@ def main(arguments: list[str] | None = None) -> int:
     print(f"left out: {left[0]} beyond {LARGEST:g} s, {left[1]} without the quantity")
     chances = np.array(promised)
     two_sigma = 2.0 * math.sqrt(float((chances * (1.0 - chances)).sum()))
-    print(f"met {sum(met)} of {said}; promised {chances.sum():.1f} +- {two_sigma:.1f} (two sigma)")
+    promise = f"promised {chances.sum():.1f} +- {two_sigma:.1f} (two sigma)"
+    print(f"met {sum(met)} of {counted}; {promise}")
     return 0 if abs(sum(met) - chances.sum()) <= two_sigma else 1
 
 

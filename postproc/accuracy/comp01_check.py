@@ -1,16 +1,16 @@
-"""One-particle theory against Fig. comp01, by hand: python -m postproc.accuracy.comp01_check.
+"""One-particle theory against Fig. comp01: python -m postproc.accuracy.comp01_check.
 
-Asks the theory at the 46 points with chi above 0.15 (comp01_polarised.json, the paper's length) and
-prints a line a point, and how far it is off by three ways to leave out the points next to a
-transition: none, the first and the last T of each w', or those that have no polarised state in runs
-and the next T to them. The transient of the runs is some 7e4 time units: by `transients` currents
-lack less than 0.3 % for want of age, but at w' = 0.0102 from T = 8 to 13, where it is 0.8 to 2.8 %.
+Computes the theory at the 46 points with chi above 0.15 (comp01_polarised.json, the paper's
+length). Prints a line for each point, and the error with three choices of points left out next to a
+transition: none, the first and the last T of each w', or those without a polarised state in runs
+and the next T to them. The transient of the runs is about 7e4 time units: by `transients` less than
+0.3 % of a current are missing, except at w' = 0.0102 from T = 8 to 13, where it is 0.8 to 2.8 %.
 Takes 46 times two seconds of one core.
 
-With FILE.h5 ..., results of namelists/comp01_ends.nml, it prints what runs have next to the
-transitions instead: how hollow the distribution of chi is, the density next to 0 over that at its
-mode. A state is called polarised if that is below 1/e, whichever the start: where it is more,
-nothing parts one polarity from the other, and chi is what an even state scatters by.
+With FILE.h5 ..., results of namelists/comp01_ends.nml, it prints for runs next to the transitions
+instead: the density of chi next to 0, over that at its mode. A state is called polarised if this
+ratio is below 1/e, for either initial state: if it is larger there is no barrier between the
+polarities, and chi is the fluctuation of a homogeneous state.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ CELLS = np.arange(0.0, 1.0 + 0.05, 0.05)  # of chi
 
 @dataclass(frozen=True)
 class Point:
-    """A point of the figure as runs have it: w', T, chi and net current with their errors."""
+    """A point of the figure, measured by runs: w', T, chi and net current with their errors."""
 
     channel2_width: float
     threshold: int
@@ -63,24 +63,24 @@ HOMOGENEOUS = {(width, threshold) for width, threshold, hollow in KEPT["hollow"]
 
 
 def but_ends(points: Sequence[Point]) -> list[Point]:
-    """Return points but the first and the last T of each w'."""
-    kept = []
+    """Return the points without the first and the last T of each w'."""
+    chosen = []
     for point in points:
         own = [one.threshold for one in points if one.channel2_width == point.channel2_width]
         if min(own) < point.threshold < max(own):
-            kept.append(point)
-    return kept
+            chosen.append(point)
+    return chosen
 
 
 def inner(points: Sequence[Point]) -> list[Point]:
-    """Return points but those without a polarised state in runs, and the next T to them."""
+    """Return the points without those that are not polarised in runs, and without the next T."""
     return but_ends([
         one for one in points if (one.channel2_width, one.threshold) not in HOMOGENEOUS
     ])  # fmt: skip
 
 
 def off(point: Point, effort: Effort | None = None) -> tuple[float, float]:
-    """Return theory less runs of chi, and relative of the current; NaN without such a state."""
+    """Return theory minus runs for chi, and relative for the current; NaN without such a state."""
     states = stationary_states(point.circuit, effort)
     if not states:
         return math.nan, math.nan
@@ -99,7 +99,7 @@ def hollow(spreads: NDArray[np.float64]) -> float:
 
 
 def print_hollow(paths: Sequence[Path]) -> None:
-    """Print how hollow the distribution of chi is at each point and start."""
+    """Print the density of chi next to 0, over that at its mode, for each point and start."""
     print(f"{'w2':>7} {'T':>3} {'chi(0)':>6} {'chi':>7} {'+-':>7} {'hollow':>7}")
     for path in paths:
         with Results(path) as results:
@@ -136,9 +136,9 @@ def main(arguments: list[str] | None = None) -> int:
     rules = {"all": POINTS, "but the first and the last T of each w'": but_ends(POINTS),
              "but those without a polarised state and the next": inner(POINTS)}  # fmt: skip
     for rule, points in rules.items():
-        told = [found[one] for one in points]
-        spread, current = root_mean_square(told)
-        without = int(np.isnan(told)[:, 0].sum())
+        differences = [found[one] for one in points]
+        spread, current = root_mean_square(differences)
+        without = int(np.isnan(differences)[:, 0].sum())
         print(f"{rule}: {len(points)} points, {without} of them without a state in theory, "
               f"chi {spread:.4f}, current {100.0 * current:.1f} %")  # fmt: skip
     return 0

@@ -1,4 +1,4 @@
-"""Event logs read as stories: what became of each entry into a gate, and who came from where."""
+"""Event logs by particle: the fate of each entry into a gate, and the events before and after."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class Log:
 
 
 @dataclass(frozen=True)
-class Stories:
+class ParticleEvents:
     """The events of single particles, by particle and then time; fields of shape (event,).
 
     Attributes
@@ -61,8 +61,8 @@ def read_log(results: Results) -> Log:
     return Log(events["time"], **whole)
 
 
-def stories(log: Log) -> Stories:
-    """Return the events by particle, with what became of each entry."""
+def particle_events(log: Log) -> ParticleEvents:
+    """Return the events by particle, with the fate of each entry."""
     place = np.flatnonzero(log.kind != REVERSAL)
     place = place[np.argsort(log.particle[place], kind="stable")]
     particle = log.particle[place]
@@ -80,20 +80,21 @@ def stories(log: Log) -> Stories:
         caught = following < own
         turned[mine[caught]] = log.time[following[caught]]
     columns = (log.time[place], log.kind[place], log.where[place], particle)
-    return Stories(*columns, before, after, turned)
+    return ParticleEvents(*columns, before, after, turned)
 
 
-def outward_stays(told: Stories) -> tuple[Integers, Floats, Floats]:
-    """Return (gate, from when, until when) of every stay in a gate with the way out ahead.
+def outward_stays(events: ParticleEvents) -> tuple[Integers, Floats, Floats]:
+    """Return (gate, begin, end) of every stay in a gate in which a particle moves outwards.
 
-    Those turned back leave as long after the reversal as they came before it; those who crossed the
-    middle line leave the other gate as long after it as they entered the first before it.
+    A reversed particle leaves as long after the reversal as it entered before it; one that crossed
+    the middle line leaves the other gate as long after the crossing as it entered the first before
+    it.
     """
-    entered = np.flatnonzero(told.kind == ENTRY)
-    turned = entered[np.isfinite(told.turned[entered])]
-    through = entered[np.isnan(told.turned[entered]) & (told.after[entered] >= 0)]
-    crossed = told.time[told.after[through]]
-    gate = np.concatenate([told.where[turned], 3 - told.where[through]])
-    start = np.concatenate([told.turned[turned], crossed])
-    stop = 2.0 * start - np.concatenate([told.time[turned], told.time[through]])
+    entered = np.flatnonzero(events.kind == ENTRY)
+    turned = entered[np.isfinite(events.turned[entered])]
+    through = entered[np.isnan(events.turned[entered]) & (events.after[entered] >= 0)]
+    crossed = events.time[events.after[through]]
+    gate = np.concatenate([events.where[turned], 3 - events.where[through]])
+    start = np.concatenate([events.turned[turned], crossed])
+    stop = 2.0 * start - np.concatenate([events.time[turned], events.time[through]])
     return gate, start, stop

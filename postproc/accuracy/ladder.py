@@ -1,4 +1,4 @@
-"""The ladder of models: its rungs, what each says of the battery, and what that costs."""
+"""The ladder of models: its rungs, the result of each for the battery, and its cost."""
 
 from __future__ import annotations
 
@@ -28,23 +28,23 @@ if TYPE_CHECKING:
     Floats = NDArray[np.float64]
 
 BATTERY = Circuit(1000, 7)
-THRESHOLDS = tuple(range(10, 26))  # at which a theory is asked for its transition
-SCANNED = (14, 15, 16, 17, 18)  # at which an engine is run for it
+THRESHOLDS = tuple(range(10, 26))  # at which a theory is evaluated for its transition
+SCANNED = (14, 15, 16, 17, 18)  # at which an engine is run for the transition
 HALFWAY = 0.3  # chi at the transition, between integer T on a straight line
 QUANTITIES = ("chi", "current", "transition")
 REPLICAS = 8  # of a rung
-SHORTEST = 1000.0  # time that a run goes on at least, transient included
+SHORTEST = 1000.0  # shortest duration of a run, transient included
 
 
 @dataclass(frozen=True)
 class Rung:
-    """A model that is run.
+    """An engine, with its step.
 
     Attributes
     ----------
-    name : what it is called in tables.
+    name : its name in tables.
     engine, step : as in the namelist; step 0: none.
-    seconds : CPU time of a unit of time at N = 1000, roughly, to share out CPU time by.
+    seconds : CPU time per unit of time at N = 1000, roughly, by which CPU time is allotted.
     exact : whether it is the paper's model itself, event by event.
     """
 
@@ -70,12 +70,12 @@ LONGER = (Rung("timestep 0.001", "timestep", 3.3e-3, 0.001),)  # if there is tim
 
 @dataclass(frozen=True)
 class Answer:
-    """What a rung says of one quantity.
+    """Value of one quantity by a rung.
 
     Attributes
     ----------
     value, error : mean over replicas and its standard error (0 for a theory).
-    seconds : CPU time spent, of all replicas.
+    seconds : CPU time of all replicas.
     """
 
     value: float
@@ -95,29 +95,29 @@ def transition(thresholds: ArrayLike, chi: ArrayLike) -> float:
 
 
 def theories(*, drawing: bool) -> list[Model]:
-    """Return the theories that can be asked here, those that draw numbers only if `drawing`."""
+    """Return the theories available here, those that use random numbers only if `drawing`."""
     known = [model for model in MODELS.values() if drawing or not model.draws]
     return [model for model in known if not model.refusal(BATTERY)]
 
 
 def label(name: str) -> str:
-    """Return what tables and legends call a rung: a theory by its label, an engine as it is."""
+    """Return the name of a rung in tables and legends: a theory's label, an engine's name."""
     return MODELS[name].label if name in MODELS else name
 
 
 def ask(model: Model, circuit: Circuit) -> tuple[float, float]:
     """Return a theory's chi and net current of the stable polarised state, zeros if there is none.
 
-    Each question starts from nothing: what the urns remember is worked out anew.
+    Caches are cleared before each call: the memory of the urns is computed anew.
     """
-    for kept in (unit_disc, return_chance, mean_stay, transfer):
-        kept.cache_clear()
+    for cached in (unit_disc, return_chance, mean_stay, transfer):
+        cached.cache_clear()
     stable = model.solve_stable(circuit)
     return (stable[-1].mass_spread, stable[-1].net_current) if stable else (0.0, 0.0)
 
 
 def theory_answers(model: Model) -> dict[str, Answer]:
-    """Return what a theory says, and its time (after a first call that reads and prepares)."""
+    """Return a theory's results and its time (after a first call that reads and prepares)."""
     ask(model, BATTERY)
     began = time.process_time()
     chi, current = ask(model, BATTERY)
@@ -133,7 +133,7 @@ def theory_answers(model: Model) -> dict[str, Answer]:
 
 
 def eta_seconds(circuit: Circuit = BATTERY, calls: int = 200) -> float:
-    """Return the time of one value of eta, in s."""
+    """Return the time to compute one value of eta, in s."""
     eta(circuit, 900.0)
     began = time.process_time()
     for _ in range(calls):
@@ -179,25 +179,25 @@ def mean_of(values: Floats) -> tuple[float, float]:
 
 
 def stem(rung: Rung) -> str:
-    """Return a rung's name as names of files have it."""
+    """Return a rung's name for names of files."""
     return rung.name.replace(" ", "_").replace(".", "p")
 
 
 def engine_keys(rung: Rung) -> dict[str, object]:
-    """Return what a namelist says of a rung's engine."""
+    """Return the namelist keys of a rung's engine."""
     return {"engine": rung.engine, **({"time_step": rung.step} if rung.step else {})}
 
 
 def seconds_per_time(path: Path) -> float:
-    """Return the CPU time of a unit of time of a run, in s."""
+    """Return the CPU time of a run per unit of time, in s."""
     with Results(path) as results:
         return float(results.value("cpu_seconds").sum() / results.value("time").sum())
 
 
 def run_rung(study: Study, rung: Rung, seconds: float) -> tuple[dict[str, Answer], dict, float]:
-    """Run the battery and the transition, each as long as that much CPU time allows.
+    """Run the battery and the transition, each for that much CPU time.
 
-    Returns the answers, chi across the transition, and the CPU time of a unit of time at T = 7.
+    Returns the answers, chi across the transition, and the CPU time per unit of time at T = 7.
     """
     length = max(SHORTEST, seconds / (rung.seconds * REPLICAS))
     changes = {"run": {**engine_keys(rung), "duration": float(f"{length:.2g}")}}

@@ -1,4 +1,4 @@
-"""The ladder over the map in numbers: error to be expected, the Pareto line, errors that cancel.
+"""The ladder over the map in numbers: expected error, the Pareto front, errors that cancel.
 
 A rung's line has its name, its kind ("theory", "exact" or "model"), and for each quantity `bias`,
 `bias_error`, `chance`, `missing` (`ladder_map.compare`), `seconds` and `approach`
@@ -17,19 +17,19 @@ from postproc.theory.models import MODELS, ancestry
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-TIMES = np.geomspace(1e-4, 1e5, 361)  # processor time of the Pareto line, in s
-TOLERANCES = (0.1, 0.03, 0.01, 0.003)  # errors that are asked for
-SURE = 2.0  # errors from which on something is seen
-# engines, each with all that those before it have, and more; `reservoir` has all of this theory
+TIMES = np.geomspace(1e-4, 1e5, 361)  # processor time of the Pareto front, in s
+TOLERANCES = (0.1, 0.03, 0.01, 0.003)  # required errors
+SURE = 2.0  # number of standard errors above which a difference is significant
+# engines, each with all physics of those before it, and more; `reservoir` has all of this theory
 STEPS = ("timestep 0.1", "timestep 0.03", "timestep 0.01", "timestep 0.003")
 BELOW_RESERVOIR = "renewal_chain"
 
 
 def expected(line: dict, quantity: str, seconds: float) -> float:
-    """Return the error to be expected of a rung for so much processor time a point; inf: none yet.
+    """Return the expected error of a rung for a processor time per point; inf: no result yet.
 
-    Runs measure at least as long as their transient lasts; their chance falls with the root of
-    what is measured. The exact engines have no bias.
+    Runs measure for at least the length of their transient; their statistical error falls with the
+    root of the measured time. The exact engines have no bias.
     """
     one = line[quantity]
     if one["missing"]:
@@ -44,12 +44,12 @@ def expected(line: dict, quantity: str, seconds: float) -> float:
 
 
 def pareto(rows: Sequence[dict], quantity: str) -> list[float]:
-    """Return the error of the best rung for each of `TIMES`; inf: none is done by then."""
+    """Return the error of the best rung for each of `TIMES`; inf: none has a result by then."""
     return [min(expected(line, quantity, float(one)) for line in rows) for one in TIMES]
 
 
 def cheapest(rows: Sequence[dict], quantity: str, error: float) -> tuple[str, float]:
-    """Return which rung has an error at the least cost, and that cost in s; "none", inf."""
+    """Return the cheapest rung with at most this error, and its cost in s; "none", inf."""
     for seconds in TIMES:
         errors = [expected(line, quantity, float(seconds)) for line in rows]
         if min(errors) <= error:
@@ -58,13 +58,13 @@ def cheapest(rows: Sequence[dict], quantity: str, error: float) -> tuple[str, fl
 
 
 def families() -> list[tuple[str, ...]]:
-    """Return names of rungs, each with all the physics of those before it in its line, and more."""
+    """Return sequences of rungs, each rung with all the physics of those before it, and more."""
     theories = [ancestry(name) for name in MODELS]
     return [*theories, (*ancestry(BELOW_RESERVOIR), "reservoir"), STEPS]
 
 
 def cancelling(rows: Sequence[dict], quantity: str) -> list[str]:
-    """Return the rungs whose errors cancel: one that has all of theirs and more is farther off."""
+    """Return rungs whose errors cancel: one with all their physics and more is less accurate."""
     by_name = {line["name"]: line[quantity] for line in rows}
     found = []
     for family in families():

@@ -2,9 +2,9 @@
 
 Quantities: chi, the polarised current over chi, so that an error of chi does not hide one of the
 conductance, and the T at which chi falls through 0.3 at each w'. Runs begin polarised. Their
-transient is three relaxations of directions, or 9000 next to a transition; the reference has twice
-that, which tells whether it was enough. It is part of what every run costs, however near to the
-answer it may begin. Errors are root mean squares over the points, less what runs add by chance.
+transient is three relaxation times of directions, or 9000 next to a transition; the reference has
+twice that, which shows whether it was enough. It is part of the cost of every run. Errors are root
+mean squares over the points, less the statistical errors of the runs.
 """
 
 from __future__ import annotations
@@ -39,15 +39,15 @@ if TYPE_CHECKING:
 
     Floats = NDArray[np.float64]
 
-RELAXATIONS = 3.0  # of directions, that a transient lasts
-CRITICAL = 9000.0  # transient next to a transition: a margin (experiment 5 found 500 enough)
+RELAXATIONS = 3.0  # relaxation times of directions in a transient
+CRITICAL = 9000.0  # transient next to a transition: a margin (experiment 5 result 500 enough)
 # T well below the upper transition of a w', and across it
 SLICES = {
     0.01: ((6, 9, 12), (14, 15, 16, 17, 18)),
     0.025: ((7, 9, 11), (13, 14, 15, 16, 17)),
     0.06: ((9, 10, 11), (12, 13, 14, 15, 16)),
 }
-FAST = ("excursion", "reservoir")  # so cheap that replicas tell their errors
+FAST = ("excursion", "reservoir")  # cheap enough for replicas, whose scatter gives the errors
 SLOWEST = "timestep 0.003"  # in full runs only
 HEADS = {"chi": "chi", "current": "current over chi", "transition": "transition T"}
 SHOWN = {"chi": lambda value: number(value, 2), "current": percent, "transition": percent}
@@ -55,14 +55,14 @@ SHOWN = {"chi": lambda value: number(value, 2), "current": percent, "transition"
 
 @dataclass(frozen=True)
 class Told:
-    """What a rung says at all points, in the order of `SLICES`; every field has shape (point,).
+    """Results of a rung at all points, in the order of `SLICES`; every field has shape (point,).
 
     Attributes
     ----------
     chi, current : mean, and polarised current over chi; NaN where there is none.
     chi_error, current_error : standard errors; 0 of a theory, NaN of a single run.
-    seconds : processor time of a unit of time; of a theory that of its answer.
-    measured, transient : time in all replicas, and before it in each; 0 of a theory.
+    seconds : processor time per unit of time; of a theory that of a point.
+    measured, transient : measured time of all replicas, and transient of each; 0 of a theory.
     """
 
     chi: Floats
@@ -75,7 +75,7 @@ class Told:
 
 
 def points() -> list[tuple[float, int, bool]]:
-    """Return (w', T, whether it is next to the transition) of all points."""
+    """Return (w', T, whether the point is next to the transition) of all points."""
     return [
         (width, threshold, bool(zone))
         for width, zones in SLICES.items()
@@ -90,7 +90,7 @@ def transients() -> tuple[float, float]:
 
 
 def ask(model: Model) -> Told:
-    """Return what a theory says, and the processor time it takes, other programs' included."""
+    """Return a theory's results and its processor time, that of other programs included."""
     found = []
     for width, threshold, _ in points():
         one = replace(BATTERY, channel2_width=width, threshold=threshold)
@@ -105,14 +105,14 @@ def ask(model: Model) -> Told:
 
 
 def _processor() -> float:
-    told = os.times()
-    return told.user + told.system + told.children_user + told.children_system
+    times = os.times()
+    return times.user + times.system + times.children_user + times.children_system
 
 
 def run_points(
     study: Study, rung: Rung, measured: float, replicas: int, *, doubled: bool = False
 ) -> Told:
-    """Run an engine at all points, so long in each replica; `doubled`: with twice the transient."""
+    """Run an engine at all points, for `measured` each; `doubled`: with twice the transient."""
     columns = []
     name = "reference" if doubled else ladder.stem(rung)
     for width, zones in SLICES.items():
@@ -153,7 +153,7 @@ def _read(path: Path, transient: float) -> Floats:
 def scatter(truth: Told) -> Told:
     """Return the standard errors of one unit of measured time as `Told`, for runs of one replica.
 
-    From long runs of the billiard, whose measured time is far longer than their memory.
+    From long runs of the billiard, whose measured time is far longer than their correlation time.
     """
     root = np.sqrt(truth.measured)
     return replace(
@@ -161,51 +161,53 @@ def scatter(truth: Told) -> Told:
     )
 
 
-def with_errors(told: Told, one_unit: Told) -> Told:
-    """Return what a rung says with the billiard's errors where it has none of its own."""
-    root = np.sqrt(np.maximum(told.measured, 1.0))
+def with_errors(result: Told, one_unit: Told) -> Told:
+    """Return a rung's results with the billiard's errors if it has none of its own."""
+    root = np.sqrt(np.maximum(result.measured, 1.0))
     return replace(
-        told,
-        chi_error=np.where(np.isnan(told.chi_error), one_unit.chi_error / root, told.chi_error),
+        result,
+        chi_error=np.where(np.isnan(result.chi_error), one_unit.chi_error / root, result.chi_error),
         current_error=np.where(
-            np.isnan(told.current_error), one_unit.current_error / root, told.current_error
+            np.isnan(result.current_error), one_unit.current_error / root, result.current_error
         ),
     )
 
 
-def transitions(told: Told) -> tuple[Floats, Floats]:
+def transitions(result: Told) -> tuple[Floats, Floats]:
     """Return the T at which chi falls through `HALFWAY` at each w', and its standard error."""
     widths, thresholds, near = (np.array(column) for column in zip(*points(), strict=True))
     found = []
     for width in SLICES:
         at = np.flatnonzero((widths == width) & near)
-        value = ladder.transition(thresholds[at], told.chi[at])
+        value = ladder.transition(thresholds[at], result.chi[at])
         moved = []
         for one in at:
-            chi = told.chi.copy()
-            chi[one] += told.chi_error[one]
+            chi = result.chi.copy()
+            chi[one] += result.chi_error[one]
             moved.append(ladder.transition(thresholds[at], chi[at]) - value)
         found.append((value, math.sqrt(np.sum(np.square(moved)))))
     values, errors = np.array(found).T
     return values, errors
 
 
-def _of(told: Told, quantity: str) -> tuple[Floats, Floats]:
+def _of(result: Told, quantity: str) -> tuple[Floats, Floats]:
     if quantity == "transition":
-        return transitions(told)
-    return (told.chi, told.chi_error) if quantity == "chi" else (told.current, told.current_error)
+        return transitions(result)
+    if quantity == "chi":
+        return result.chi, result.chi_error
+    return result.current, result.current_error
 
 
-def compare(told: Told, truth: Told, quantity: str) -> dict[str, float]:
-    """Return how far a rung is off, over the points that are polarised in truth.
+def compare(result: Told, truth: Told, quantity: str) -> dict[str, float]:
+    """Return the error of a rung over the points that are polarised in the reference.
 
-    Absolute of chi, relative of the others. `bias`: root mean square of what is off, less the
-    errors of both; `bias_error`: of that; `seen`: whether it is above them; `missing`: points of
-    which the rung has no answer; `chance`: root mean square of the rung's own error.
+    Absolute for chi, relative for the others. `bias`: root mean square of the differences, less the
+    errors of both; `bias_error`: its error; `seen`: whether it is significant; `missing`: number of
+    points without a result of the rung; `chance`: root mean square of the rung's statistical error.
     """
-    (value, error), (true, its) = _of(told, quantity), _of(truth, quantity)
-    asked = np.isfinite(true) if quantity == "transition" else truth.chi > HALFWAY
-    known = asked & np.isfinite(value)
+    (value, error), (true, its) = _of(result, quantity), _of(truth, quantity)
+    polarised = np.isfinite(true) if quantity == "transition" else truth.chi > HALFWAY
+    known = polarised & np.isfinite(value)
     size = np.ones(true.size) if quantity == "chi" else true
     off, own = ((value - true) / size)[known], (error / size)[known]
     noise = np.hypot(own, (its / size)[known])
@@ -217,36 +219,36 @@ def compare(told: Told, truth: Told, quantity: str) -> dict[str, float]:
         "bias": bias,
         "bias_error": apart / (2.0 * bias) if square > apart else math.sqrt(max(apart, 0.0)),
         "seen": bool(square > SURE * apart and off.size),
-        "missing": int(np.sum(asked) - np.sum(known)),
+        "missing": int(np.sum(polarised) - np.sum(known)),
         "chance": math.sqrt(float(np.sum(own**2)) / count),
     }
 
 
-def price(told: Told, truth: Told, quantity: str) -> dict[str, float]:
-    """Return what a point costs: `seconds` of what was done, and of it `approach`, the transients.
+def price(result: Told, truth: Told, quantity: str) -> dict[str, float]:
+    """Return the cost of a point: `seconds` in all, and `approach`, the part of the transients.
 
-    Of a transition all thresholds of one w'. Theories have no approach.
+    For a transition that of all thresholds of one w'. Theories have no transient.
     """
     near = np.array([zone for _, _, zone in points()])
     chosen = near if quantity == "transition" else truth.chi > HALFWAY
     many = near.sum() / len(SLICES) if quantity == "transition" else 1.0
-    if not told.measured.any():
-        return {"seconds": float(many * told.seconds[chosen].mean()), "approach": 0.0}
-    approach = (told.seconds * told.transient)[chosen].mean()
-    measured = (told.seconds * told.measured)[chosen].mean()
+    if not result.measured.any():
+        return {"seconds": float(many * result.seconds[chosen].mean()), "approach": 0.0}
+    approach = (result.seconds * result.transient)[chosen].mean()
+    measured = (result.seconds * result.measured)[chosen].mean()
     return {"seconds": float(many * (approach + measured)), "approach": float(many * approach)}
 
 
-def row(name: str, kind: str, told: Told, truth: Told) -> dict[str, object]:
+def row(name: str, kind: str, result: Told, truth: Told) -> dict[str, object]:
     """Return a rung's line; `kind` is "theory", "exact" or "model"."""
     line: dict[str, object] = {"name": name, "kind": kind}
     for quantity in QUANTITIES:
-        line[quantity] = {**compare(told, truth, quantity), **price(told, truth, quantity)}
+        line[quantity] = {**compare(result, truth, quantity), **price(result, truth, quantity)}
     return line
 
 
 def doubling(once: Told, twice: Told) -> dict[str, float]:
-    """Return whether runs with one and with two transients differ: off over error, of chi."""
+    """Compare runs with one and with two transients: difference of chi over its error."""
     sigmas = (once.chi - twice.chi) / np.hypot(once.chi_error, twice.chi_error)
     worst = int(np.argmax(np.abs(sigmas)))
     width, threshold, _ = points()[worst]
@@ -265,7 +267,7 @@ def _choice(one: tuple[str, float | None]) -> str:
 
 
 def tables(study: Study, numbers: dict) -> None:
-    """Write the tables of the page: errors and costs of the rungs, the cheapest for an error."""
+    """Write the tables of the page: errors and costs of the rungs, the cheapest for each error."""
     head = ["rung", "a point costs", *(f"error of {HEADS[name]}" for name in QUANTITIES)]
     study.table("map_rungs", head, [
         [ladder.label(line["name"]), seconds(line["chi"]["seconds"]),
@@ -279,7 +281,7 @@ def tables(study: Study, numbers: dict) -> None:
 
 
 def _error(one: dict, quantity: str) -> str:
-    """Return a rung's error: a bound where none is seen, a star where errors cancel."""
+    """Return a rung's error: a bound if it is not significant, a star if errors cancel."""
     known = one["bias"] if one["seen"] else (one["bias"] ** 2 + one["bias_error"] ** 2) ** 0.5
     if quantity == "transition" and one["missing"]:
         return "none in reach"
@@ -288,7 +290,7 @@ def _error(one: dict, quantity: str) -> str:
 
 
 def run(study: Study) -> None:
-    """Ask and run every rung at every point, draw `ladder_map`, keep the numbers."""
+    """Compute every rung at every point, draw `ladder_map`, store the numbers."""
     rungs = {rung.name: rung for rung in (*RUNGS, *LONGER)}
     truth = run_points(study, rungs["excursion"], study.pick(1.2e5, 1.2e6), 16, doubled=True)
     one_unit = scatter(truth)
@@ -299,12 +301,12 @@ def run(study: Study) -> None:
         if rung.name == SLOWEST and not study.full:
             continue
         fast = rung.name in FAST
-        told = run_points(study, rung, study.pick(*(3e4, 3e5) if fast else (1500.0, 15000.0)),
+        result = run_points(study, rung, study.pick(*(3e4, 3e5) if fast else (1500.0, 15000.0)),
                           8 if fast else 1)  # fmt: skip
         if rung.name == "excursion":
-            once = told
-        told = with_errors(told, one_unit)
-        rows.append(row(rung.name, "exact" if rung.exact else "model", told, truth))
+            once = result
+        result = with_errors(result, one_unit)
+        rows.append(row(rung.name, "exact" if rung.exact else "model", result, truth))
     for line in rows:
         for quantity in QUANTITIES:
             line[quantity]["cancels"] = line["name"] in cancelling(rows, quantity)

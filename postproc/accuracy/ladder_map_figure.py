@@ -25,16 +25,16 @@ NAMES = {
     "transition": "relative error of transition $T$",
 }
 LIMITS = (3e-4, 2.0)  # of errors
-FAINT = 0.4  # opacity of a rung that says nothing of some points
-BELOW = {"timestep 0.03": -7}  # where a step is written that has no room above its mark
+FAINT = 0.4  # opacity of a rung without a result at some points
+BELOW = {"timestep 0.03": -7}  # position of the label of a step that does not fit above its mark
 
 
 def figure(rows: Sequence[dict]) -> Figure:
     """Return the chart.
 
-    Filled marks are errors that are seen, open ones with an arrow where none is, faint ones those
-    of a rung that says nothing of some points. A ring: errors cancel. Lines: what is to be expected
-    of runs in that time.
+    Filled marks are significant errors, open ones with an arrow are bounds, faint ones belong to a
+    rung without a result at some points. A ring: errors cancel. Lines: expected errors of runs in
+    that time.
     """
     made = style.figure(style.PAGE, 4.1)
     panels = made.subplots(1, len(QUANTITIES), sharey=True)

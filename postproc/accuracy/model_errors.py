@@ -1,8 +1,8 @@
-"""Which model serves where: the map where_models_fail.csv, asked for the circuit at hand.
+"""Errors of models for a given circuit, from the map where_models_fail.csv.
 
-The map has N = 1000, w = 0.3, r = l = l' = 1. Another circuit is where its thresholds are as large
-beside what a gate would hold of equal shares, and w'/w is the same. Nothing is said of circuits
-beyond the map, nor of unlike urns.
+The map has N = 1000, w = 0.3, r = l = l' = 1. Another circuit corresponds to the point with the
+same threshold over the number that a gate holds at equal densities, and the same w'/w. Circuits
+beyond the map, and unequal urns, have no entry.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ def _table() -> list[dict[str, str]]:
 
 
 def nearest(circuit: Circuit) -> tuple[int, float] | None:
-    """Return T and w' of the map's point that is nearest in their logarithms; None: beyond it."""
+    """Return T and w' of the map's nearest point in logarithms; None: beyond the map."""
     if not circuit.alike or float(circuit.channel2_width) == 0.0:
         return None
     widths = float(circuit.channel2_width) / float(circuit.channel1_width)
@@ -59,7 +59,7 @@ def nearest(circuit: Circuit) -> tuple[int, float] | None:
 
 
 def words(circuit: Circuit, quantity: str) -> str:
-    """Return in a sentence how far the models are off there, the best first; empty: not known."""
+    """Return the errors of the models there in a sentence, the best first; empty: not known."""
     point = nearest(circuit)
     if point is None:
         return ""
@@ -71,8 +71,8 @@ def words(circuit: Circuit, quantity: str) -> str:
     )  # fmt: skip
     if not known:
         return ""
-    told = ", ".join(f"{model} {100.0 * off:.2g} %" for off, model in known)
+    errors = ", ".join(f"{model} {100.0 * off:.2g} %" for off, model in known)
     return (
         f" At the nearest point of the map (T = {point[0]}, "
-        f"w' = {point[1]:g}, N = 1000, w = 0.3) {name} is off by: {told}."
+        f"w' = {point[1]:g}, N = 1000, w = 0.3) {name} is off by: {errors}."
     )

@@ -1,4 +1,4 @@
-"""Chart two: the error of what the paper reports against its cost, for every rung of the ladder.
+"""Chart two: the errors of the paper's observables against cost, for every rung of the ladder.
 
 Quantities: chi and the net current at T = 7, and the T of the upper transition, where chi falls
 through 0.3; N = 1000, w = 0.3, w' = 0.01, r = l = l' = 1. Every engine gets the same CPU time, in
@@ -34,7 +34,7 @@ NAMES = {
     "current": "net current at $T = 7$",
     "transition": "$T$ of the upper transition",
 }
-# at which end of its line a step is written, and on which side
+# end of a line at which its step is written, and side of the line
 STEP_LABELS = {
     "timestep 0.1": (-1, "right", "bottom"), "timestep 0.03": (0, "left", "bottom"),
     "timestep 0.01": (-1, "right", "top"), "timestep 0.003": (0, "left", "bottom"),
@@ -46,11 +46,12 @@ LOOKS = {
     "synchronous": ("D", style.BLACK), "reservoir": ("^", style.GREEN),
 }  # fmt: skip
 STEPPED = (">", style.GREY)  # timestep, whatever its step
-WIDE = {"collision": 8.0, "synchronous": 4.0}  # marks that fall together, one inside the other
-# Net currents of other sets of runs as long (docs/theory.md#circulation): mean, error, time of all.
+WIDE = {"collision": 8.0, "synchronous": 4.0}  # sizes of marks that coincide, one inside the other
+# Net currents of other sets of runs of this length (docs/theory.md#circulation): mean, error, total
+# time.
 OTHER_SETS = ((1.0147, 0.0015, 2.4e7), (1.0165, 0.0021, 4.0e7))
 TRANSIENT = 500.0  # of namelists/accuracy_battery.nml
-AVERAGED = (2, 7, 14, 18)  # T at which the paper's average is held against that over time
+AVERAGED = (2, 7, 14, 18)  # T at which the paper's average is compared with that over time
 
 
 def long_runs(study: Study) -> Path:
@@ -63,14 +64,14 @@ def long_runs(study: Study) -> Path:
 
 
 def total_time(path: Path) -> float:
-    """Return the time that runs measured, all together."""
+    """Return the total measured time of runs."""
     with Results(path) as results:
         past = results.value("transient_time")
         return float((results.value("time") - past)[results.done].sum())
 
 
 def reference(study: Study) -> dict[str, Answer]:
-    """Return the quantities from long runs of `excursion`; the current with the other sets."""
+    """Return the quantities from long runs of `excursion`; the current also from the other sets."""
     path = long_runs(study)
     found = ladder.battery_answers(path)
     one = found["current"]
@@ -78,7 +79,7 @@ def reference(study: Study) -> dict[str, Answer]:
     found["own_current"] = one
     found["current"] = Answer(*by_time(sets), one.seconds)
     changes = {"run": {"duration": study.pick(2.0e5, 2.0e6)}, "scan": {"replicas": 16}}
-    changes["particles"] = {"seed": 77}  # of its own: the rung itself must not be its own judge
+    changes["particles"] = {"seed": 77}  # so that it is independent of the rung
     path = study.run("accuracy_transition", "transition_reference", changes)
     found["transition"], _ = ladder.transition_answer(path)
     return found
@@ -87,7 +88,7 @@ def reference(study: Study) -> dict[str, Answer]:
 def by_time(sets: Sequence[tuple[float, float, float]]) -> tuple[float, float]:
     """Return mean and error of sets (mean, error, time), weighted by their time.
 
-    Not by their errors: a set that holds a long circulation has a larger mean and a larger error.
+    Not by their errors: a set with a long circulation has a larger mean and a larger error.
     """
     value, error, time = np.array(sets).T
     weight = time / time.sum()
@@ -95,11 +96,11 @@ def by_time(sets: Sequence[tuple[float, float, float]]) -> tuple[float, float]:
 
 
 def lacking(spent: float, per_time: float, chi: float) -> float:
-    """Return what the mean current of a rung's runs lacks for want of age, relative.
+    """Return the relative part of the mean current that is missing in a rung's runs of finite age.
 
     Parameters
     ----------
-    spent, per_time : CPU time of all runs, and of a unit of time.
+    spent, per_time : CPU time of all runs, and per unit of time.
     chi : of the stationary state.
     """
     lasting = spent / (per_time * ladder.REPLICAS) - TRANSIENT
@@ -110,7 +111,7 @@ def lacking(spent: float, per_time: float, chi: float) -> float:
 def averages(study: Study) -> list[dict[str, float]]:
     """Return chi averaged over time and, as the paper does, over wall collisions, for several T.
 
-    Both of the same runs of `collision`, so that their difference has a small error of its own.
+    Both are from the same runs of `collision`, so that their difference has a small error.
     """
     changes = {
         "run": {"engine": "collision", "duration": study.pick(4.0e3, 4.0e4)},
@@ -166,10 +167,10 @@ def look(line: dict) -> tuple[str, str]:
 
 
 def figure_observables(rows: Sequence[dict]) -> Figure:
-    """Return chart two: relative error against CPU time, a panel a quantity.
+    """Return chart two: relative error against CPU time, a panel for each quantity.
 
-    Filled marks: the bias, with its error; where that is not known to be above zero, its upper end
-    as an open mark with an arrow. Lines: what is to be expected of that rung for that time.
+    Filled marks: the bias, with its error; if it is not significantly above zero, its upper bound
+    as an open mark with an arrow. Lines: expected error of that rung for that time.
     """
     made = style.figure(style.PAGE, 3.9)
     panels = made.subplots(1, len(QUANTITIES), sharey=True)
@@ -193,7 +194,7 @@ def figure_observables(rows: Sequence[dict]) -> Figure:
 
 
 def explain(axes: Axes) -> None:
-    """Add to a legend what marks and lines of both charts are."""
+    """Add the marks and lines of both charts to a legend."""
     mark, colour = STEPPED
     axes.plot([], [], mark, color=colour, label="timestep, step beside it")
     axes.plot([], [], marker=r"$\downarrow$", mew=0.0, ms=7, ls="none", color=style.BLACK,
@@ -250,7 +251,7 @@ def tables(study: Study, rows: Sequence[dict], averaged: Sequence[dict]) -> None
 
 
 def run(study: Study) -> None:
-    """Run every rung, draw `observables`, keep the numbers."""
+    """Run every rung, draw `observables`, store the numbers."""
     truth = reference(study)
     rows = [
         row(model.name, "theory", ladder.theory_answers(model), truth)

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from postproc.theory.outlines import Outline
 
 WIDTHS = ("0.3", "0.01")  # w, w'
-# Upright to the last digit of the highest precision.
+# Vertical sides to the last digit of the highest precision.
 POLYGONS: dict[str, Outline] = {
     "regular hexagon": tuple((round(x, 12), round(y, 12)) for x, y in outlines.regular(6, 1.0)),
     "crooked hexagon": outlines.CROOKED,
@@ -29,7 +29,7 @@ POLYGONS: dict[str, Outline] = {
 
 
 def questions(study: Study) -> tuple[list[Question], list[Question]]:
-    """Return the visits in each precision, then the same in real128, held against them."""
+    """Return the visits in each precision, then the same compared with real128."""
     own, compared = [], []
     count = str(int(study.pick(1e5, 1e6)))
     for (k, outline), (precision, bits) in itertools.product(
@@ -45,14 +45,15 @@ def questions(study: Study) -> tuple[list[Question], list[Question]]:
 
 
 def run(study: Study) -> None:
-    """Ask, and keep what each precision says of each polygon."""
+    """Run the probes, and store the errors of each precision for each polygon."""
     own, compared = questions(study)
     ask(study, own, exact=False)
-    told = ask(study, compared, exact=False)
+    differences = ask(study, compared, exact=False)
+    cases = itertools.product(POLYGONS, BITS)
     rows = [
         {"urn": urn, "input": precision, "unit": EPSILON[precision]}
         | {key: value for key, value in line.items() if key != "histogram"}
-        for (urn, precision), (line,) in zip(itertools.product(POLYGONS, BITS), told, strict=True)
+        for (urn, precision), (line,) in zip(cases, differences, strict=True)
     ]
     study.keep("polygons", {"visits": rows})
     table(study, rows)

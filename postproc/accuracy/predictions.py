@@ -1,9 +1,9 @@
-"""What urns remember, by formulas without a fit: circulation, and relaxation of directions.
+"""Memory of the urns by formulas without a fit: circulation, and relaxation of directions.
 
-Who flies along the axis goes on doing so (circulation), and the angle to the channel diffuses from
-visit to visit (directions). What an urn remembers of the opening by which one came is in
-`theory.ports` and `theory.two_port`. Lengths over the speed v = 1; an urn has radius r, openings w
-and w', area A.
+Particles that move along the axis continue to do so (circulation), and the angle to the channel
+diffuses from visit to visit (directions). The memory of the opening of entry is in `theory.ports`
+and `theory.two_port`. Lengths are over the speed v = 1; an urn has radius r, openings w and w',
+area A.
 """
 
 from __future__ import annotations
@@ -17,10 +17,10 @@ if TYPE_CHECKING:
     from postproc.theory.circuit import Circuit
 
 def circulation_rate(circuit: Circuit, dense: float, rounds: float) -> float:
-    """Return how many particles a unit of time begin to go round so many times or more.
+    """Return the rate at which circulations of so many rounds or more begin.
 
     (n2/pi A) (w'^2/L) (1 + 2 l'/(L - l'))/m with d, d' the distances of the chords from the centre,
-    L = 2 (d + d') + l + l'; `dense` is n2, how many the dense urn holds.
+    L = 2 (d + d') + l + l'; `dense` is n2, the number in the dense urn.
     """
     returning = float(circuit.channel2_length)
     length = 2.0 * float(sum(circuit.chords)) + float(circuit.channel1_length) + returning

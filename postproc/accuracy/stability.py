@@ -1,4 +1,4 @@
-"""What happens where methods fail: for each engine and precision a number, not an opinion."""
+"""Errors in the cases in which methods fail, for each engine and precision."""
 
 from __future__ import annotations
 
@@ -32,8 +32,8 @@ COLLISIONS = {
 }  # fmt: skip
 FULL = 100
 VISITS = ((0.3, 0.01), (1e-6, 1e-6))  # w, w'
-BITS = {"real32": 23, "real64": 52}  # of the ways in
-REQUIRED = 1e-12  # what a visit in real64 must reach, over its own condition number
+BITS = {"real32": 23, "real64": 52}  # mantissa bits of the entries
+REQUIRED = 1e-12  # required error of a visit in real64, over its condition number
 
 
 def pick(answer: Answer, case: str) -> list[Row]:
@@ -57,7 +57,7 @@ def short(value: float) -> str:
 
 
 def whispering(answer: Answer, truth: Answer) -> str:
-    """Tell the error of the time at which the gate is entered, worst and up to which angle."""
+    """Return the largest error of the time of entry into the gate, and up to which angle."""
     worst, least = 0.0, math.inf
     sticks = stopped = 0
     for mine, exact in zip(pick(answer, "whispering"), pick(truth, "whispering"), strict=False):
@@ -75,7 +75,7 @@ def whispering(answer: Answer, truth: Answer) -> str:
 
 
 def corners(answer: Answer, _: Answer) -> str:
-    """Tell how many shots beside the corner went wrong, and how far beside the farthest was."""
+    """Return how many paths beside the corner are wrong, and the largest distance of those."""
     wrong = pick(answer, "corner shots on the wrong side")
     if not wrong:
         return "-"
@@ -84,7 +84,7 @@ def corners(answer: Answer, _: Answer) -> str:
 
 
 def axial(answer: Answer, truth: Answer) -> str:
-    """Tell the error of the height after 100 time units, worst of all slopes, and at slope 0."""
+    """Return the error of the height after 100 time units, largest of all, and at slope 0."""
     lines = pick(answer, "along the axis")
     if not lines:
         return "-"
@@ -94,7 +94,7 @@ def axial(answer: Answer, truth: Answer) -> str:
 
 
 def across(answer: Answer, _: Answer) -> str:
-    """Tell the relative error of the crossing's time, worst, and the slowest that was seen."""
+    """Return the largest relative error of the crossing time, and the slowest crossing."""
     lines = pick(answer, "across a channel")
     seen = [line for line in lines[:-1] if line["value"] is not None]
     if not seen:
@@ -105,7 +105,7 @@ def across(answer: Answer, _: Answer) -> str:
 
 
 def diameters(answer: Answer, _: Answer) -> str:
-    """Tell how far off a diameter is after 2000 time units, and whether it is seen as trapped."""
+    """Return the error of a diameter after 2000 time units, and whether it is found trapped."""
     lines = pick(answer, "upright diameter") + pick(answer, "slanted diameter")
     if not lines:
         return "-"
@@ -114,31 +114,31 @@ def diameters(answer: Answer, _: Answer) -> str:
 
 
 def ties(answer: Answer, _: Answer) -> str:
-    """Tell how many orders in memory, of 4 x 24, change somebody's fate."""
+    """Return how many orders in memory, of 4 x 24, change the fate of a particle."""
     lines = pick(answer, "ties")
     return short(sum(number(line["value"]) for line in lines)) if lines else "-"
 
 
 def extreme(name: str) -> Callable[[Answer, Answer], str]:
-    """Return what tells how many are lost, not a number or in the wrong half in an extreme case."""
+    """Return a function that counts particles lost, NaN or in the wrong half in an extreme case."""
 
-    def tell(answer: Answer, _: Answer) -> str:
+    def count(answer: Answer, _: Answer) -> str:
         line = pick(answer, name)[0]
         text = short(line["lost"] + line["not_a_number"] + abs(number(line["value"])))
         return text + (f"; stopped at t = {short(number(line['reached']))}"
                        if line["ended"].strip() == "stopped" else "")  # fmt: skip
 
-    return tell
+    return count
 
 
 def late_clock(answer: Answer, _: Answer) -> str:
-    """Tell the greatest difference of an event's time since the start."""
+    """Return the largest difference of an event's time since the start."""
     value = number(pick(answer, "clock at 1e12")[0]["value"])
     return "other events" if value < 0 else short(value)
 
 
 def long_run(answer: Answer, _: Answer) -> str:
-    """Tell the hits, who was lost, the drift of the speed and the distance beyond a wall."""
+    """Return hits, lost particles, the drift of the speed and the distance beyond a wall."""
     line = pick(answer, "long run")[0]
     wrong = abs(number(pick(answer, "long run, count of half 1")[0]["value"]))
     lost = line["lost"] + line["not_a_number"] + int(wrong)
@@ -146,7 +146,7 @@ def long_run(answer: Answer, _: Answer) -> str:
             f"{short(number(line['speed_error']))}, {short(number(line['value']))}")  # fmt: skip
 
 
-TELLERS: dict[str, Callable[[Answer, Answer], str]] = {
+DESCRIPTIONS: dict[str, Callable[[Answer, Answer], str]] = {
     "whispering, 1e-3 ... 1e-12: error of the exit time": whispering,
     "beside a corner, 2^-4 ... 2^-59: shots of 1120 on the wrong side": corners,
     "along the axis, slope 1e-5 ... 1e-15: error of y at t = 100": axial,
@@ -165,17 +165,17 @@ TELLERS: dict[str, Callable[[Answer, Answer], str]] = {
 
 
 def table(answers: dict[tuple[str, str], Answer]) -> list[Row]:
-    """Return the rows: a case, an engine, and what each precision says."""
+    """Return the rows: a case, an engine, and the result of each precision."""
     truth = answers["excursion", "real128"]
     return [
         {"case": case, "engine": engine,
-         **{precision: tell(answers[engine, precision], truth) for precision in PRECISIONS}}
-        for case, tell in TELLERS.items() for engine in ENGINES
+         **{precision: describe(answers[engine, precision], truth) for precision in PRECISIONS}}
+        for case, describe in DESCRIPTIONS.items() for engine in ENGINES
     ]  # fmt: skip
 
 
 def lines_of(rows: Sequence[Row]) -> list[list[str]]:
-    """Return lines of the page's table; engines without a trajectory leave out what needs one."""
+    """Return lines of the page's table; engines without trajectories lack some cases."""
     lines = []
     last = ""
     for row in rows:
@@ -199,7 +199,7 @@ def tables(study: Study, rows: Sequence[Row], visits: Sequence[Row]) -> None:
 
 
 def summary(answers: dict[tuple[str, str], Answer]) -> dict[str, Any]:
-    """Return the sums that must be zero, by engine, and the trapped."""
+    """Return the sums that must be zero, by engine, and the number of trapped particles."""
     made: dict[str, Any] = {}
     for (engine, precision), answer in answers.items():
         made[f"{engine} {precision}"] = {
@@ -230,7 +230,7 @@ def visit_questions(study: Study) -> list[Question]:
 
 
 def figure_visits(rows: Sequence[Row]) -> Figure:
-    """Draw the errors of single visits over their condition, in units of the precision."""
+    """Draw the errors of single visits over their condition number, in units of the precision."""
     made = style.figure(style.COLUMN * 1.4, 3.0)
     axes = made.subplots()
     for row, colour in zip(rows, style.CYCLE, strict=False):
@@ -249,7 +249,7 @@ def figure_visits(rows: Sequence[Row]) -> Figure:
 
 
 def run(study: Study) -> None:
-    """Ask every engine in every precision; keep the table, draw `visits`."""
+    """Run every engine in every precision; store the table, draw `visits`."""
     study.folder.mkdir(parents=True, exist_ok=True)
     seconds = str(study.pick(0.3, 5.0))
     pairs = [(engine, precision) for engine in ENGINES for precision in reversed(PRECISIONS)]
@@ -263,15 +263,15 @@ def run(study: Study) -> None:
     visits = visit_questions(study)
     half = len(visits) // 2
     ask(study, visits[:half], exact=False)
-    told = ask(study, visits[half:], exact=False)
+    differences = ask(study, visits[half:], exact=False)
     answers = dict(zip(pairs, ask(study, questions), strict=True))
     rows = table(answers)
     compared = [
         {**lines[0], "input": precision, "unit": EPSILON[precision]}
-        for lines, precision in zip(told, np.repeat(list(BITS), len(VISITS)), strict=True)
+        for lines, precision in zip(differences, np.repeat(list(BITS), len(VISITS)), strict=True)
     ]
-    kept = {"table": rows, "summary": summary(answers), "visits": compared}
-    study.keep("stability", kept)
+    numbers = {"table": rows, "summary": summary(answers), "visits": compared}
+    study.keep("stability", numbers)
     tables(study, rows, compared)
     seen = [row for row in compared if row["same"] > row["visits"] / 2]
     study.draw(figure_visits(seen), "visits")

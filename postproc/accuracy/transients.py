@@ -1,11 +1,11 @@
-"""How long a run must go before it counts: chi and currents apart.
+"""Transients of runs, for chi and for currents.
 
-chi settles with the directions of particles, 25 r^4/w^3, and next to a transition more slowly. The
-current of channel 2 goes on growing long after that: orbits that make m rounds are filled only when
-m rounds have been flown, each decade of m carries about as much as the one before, and that ends
-where the sparse gate turns a circulating particle back, after 1/(1 - q) rounds. What is still
-missing at an age is the rest of the sum of `postproc.theory.circulation`. Measured against the age
-of runs.
+chi relaxes with the directions of particles, in 25 r^4/w^3, and next to a transition more slowly.
+The current of channel 2 still grows long after that: orbits of m rounds are filled only after the
+time of m rounds, each decade of m carries about as much as the one before, and this ends where the
+gate of the sparse urn reverses a circulating particle, after 1/(1 - q) rounds. The part that is
+missing at an age is the rest of the sum of `postproc.theory.circulation`. It agrees with
+measurements against the age of runs.
 """
 
 from __future__ import annotations
@@ -27,10 +27,10 @@ if TYPE_CHECKING:
 
     Floats = NDArray[np.float64]
 
-RELAXATIONS = 3.0  # of directions, that a transient lasts
+RELAXATIONS = 3.0  # relaxation times of directions in a transient
 SHORTEST = 1000.0  # transient in radii
 CRITICAL = 9000.0  # transient next to a transition: a margin (experiment 5 found 500 enough)
-LONGEST = 1e6  # transient that is chosen for a current; what is missing then is told
+LONGEST = 1e6  # longest transient for a current; the part still missing then is returned
 AGES = np.geomspace(10.0, 10.0 * LONGEST, 361)
 
 
@@ -44,7 +44,7 @@ def of_chi(circuit: Circuit, *, critical: bool) -> float:
 
 
 def missing(circuit: Circuit, chi: float, transients: Floats, measured: Floats) -> Floats:
-    """Return what the mean current over `measured` behind each transient lacks for want of age.
+    """Return the part of the mean current over `measured` that is missing after each transient.
 
     Parameters
     ----------
@@ -52,9 +52,9 @@ def missing(circuit: Circuit, chi: float, transients: Floats, measured: Floats) 
     """
     if float(circuit.channel2_width) == 0.0:
         return np.zeros(np.shape(transients))
-    said = MODELS["two_port"].of(circuit)
+    own = MODELS["two_port"].of(circuit)
     number2 = 0.5 * float(circuit.number) * (1.0 + chi)
-    around = two_port.circulating_at(said, number2, np.append(AGES, math.inf))
+    around = two_port.circulating_at(own, number2, np.append(AGES, math.inf))
     lacking = integrate.cumulative_trapezoid(around[-1] - around[:-1], AGES, initial=0.0)
     start = np.asarray(transients, float)
     ends = [np.interp(age, AGES, lacking) for age in (start, start + measured)]
@@ -64,12 +64,12 @@ def missing(circuit: Circuit, chi: float, transients: Floats, measured: Floats) 
 def of_current(
     circuit: Circuit, chi: float, allowed: float, *, shortest: float, times: float
 ) -> float:
-    """Return the shortest transient whose run lacks no more than `allowed` of the current.
+    """Return the shortest transient after which at most `allowed` of the current is missing.
 
     Parameters
     ----------
-    shortest : that of chi, at least.
-    times : transients that are measured.
+    shortest : lower bound, the transient of chi.
+    times : measured time over the transient.
     """
     tried = np.unique(np.ceil(shortest * np.geomspace(1.0, max(1.0, LONGEST / shortest), 91)))
     enough = np.flatnonzero(np.abs(missing(circuit, chi, tried, times * tried)) <= allowed)

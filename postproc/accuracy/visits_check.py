@@ -1,11 +1,11 @@
-"""All integrals over visits against drawn ones: python -m postproc.accuracy.visits_check.
+"""Integrals over visits against random visits: python -m postproc.accuracy.visits_check.
 
 For each pair of widths the probe (`make probes`) draws visits to the disc of radius 1 in double
-precision, entries by the cosine law through both openings. Printed are theory, drawn value, its
-error and how many errors they are apart, of: the chances to return a (through channel 2) and P11,
-the mean stays t1 and t2, D (half the mean square change of the angle to the channel, from channel
-1 back to it, over (w/r)^2), and what becomes of the second Legendre polynomial of s by each way
-through the urn (K). Words: how many visits a pair (default 4000000), then pairs W1,W2.
+precision, with entries by the cosine law through both openings. Prints theory, sampled value, its
+error and their difference in errors, for: the return probabilities a (through channel 2) and P11,
+the mean stays t1 and t2, D (half the mean square change of the angle to the channel, from channel 1
+back to it, over (w/r)^2), and the mean of the second Legendre polynomial of s after each way
+through the urn (K). Arguments: number of visits for each pair (default 4000000), then pairs W1,W2.
 """
 
 from __future__ import annotations
@@ -32,26 +32,26 @@ if TYPE_CHECKING:
 
 COUNT = 4_000_000
 PAIRS = ((0.3, 0.01), (0.1, 0.05), (0.03, 0.003), (0.01, 0.01), (0.001, 0.0005), (0.003, 0.03))
-BITS = 52  # of a number drawn
+BITS = 52  # of a random number
 GOLDEN = np.uint64(2**64 - 7046029254386353131)
 FACTORS = (np.uint64(2**64 - 4658895280553007687), np.uint64(2**64 - 7723592293110705685))
 
 
 def _mixed(word: NDArray[np.uint64]) -> NDArray[np.uint64]:
-    """Return SplitMix64 of words, as src/core/random.f90 has it."""
+    """Return SplitMix64 of words, as in src/base/random.f90."""
     for shift, factor in zip((30, 27), FACTORS, strict=True):
         word = (word ^ (word >> np.uint64(shift))) * factor
     return word ^ (word >> np.uint64(31))
 
 
 def hashed_uniform(key: NDArray[np.uint64], count: int) -> Floats:
-    """Return the numbers in (0, 1) that the probe draws its ways in from."""
+    """Return the random numbers in (0, 1) from which the probe draws its entries."""
     word = _mixed(_mixed(key) + np.array([GOLDEN]) * np.uint64(count))
     return ((word >> np.uint64(64 - BITS)).astype(float) + 0.5) * 0.5**BITS
 
 
 def drawn(width1: float, width2: float, count: int) -> dict[str, Floats]:
-    """Return entries and exits of drawn visits.
+    """Return entries and exits of random visits.
 
     "into" and "out" are the opening, 0 or 1 for channels 1 and 2, "sine" and "out_sine" |s| at
     entry and exit, "stay" the time from chord to chord.
@@ -64,7 +64,7 @@ def drawn(width1: float, width2: float, count: int) -> dict[str, Floats]:
     key = np.arange(1, count + 1, dtype=np.uint64)
     second = (width1 + width2) * hashed_uniform(key, 1) >= width1
     sine = np.abs(2.0 * hashed_uniform(key, 2) - 1.0)
-    ended = found[:, 0] != 0.0  # what is handed on in parts is left out: less than 1 in 1e6
+    ended = found[:, 0] != 0.0  # truncated visits are left out: less than 1 in 1e6
     into, out = second[ended].astype(int), (found[ended, 0] < 0.0).astype(int)
     return {"into": into, "out": out, "sine": sine[ended], "out_sine": np.abs(found[ended, 3]),
             "stay": found[ended, 4]}  # fmt: skip
@@ -75,12 +75,12 @@ def _mean(values: Floats) -> tuple[float, float]:
 
 
 def _change(sine: Floats, other: Floats) -> Floats:
-    """Return by how much the angle to the channel changes between entry and exit."""
+    """Return the change of the angle to the channel between entry and exit."""
     return np.abs(np.arcsin(sine) - np.arcsin(other))
 
 
 def measured(found: dict[str, Floats], width1: float) -> dict[str, tuple[float, float]]:
-    """Return means over drawn visits and their standard errors, by name."""
+    """Return means over random visits and their standard errors, by name."""
     into, out = found["into"], found["out"]
     second = math.sqrt(5.0) * (1.5 * np.stack([found["sine"], found["out_sine"]]) ** 2 - 0.5)
     product = second[0] * second[1]
@@ -101,7 +101,7 @@ def measured(found: dict[str, Floats], width1: float) -> dict[str, tuple[float, 
 
 
 def expected(width1: float, width2: float) -> dict[str, float]:
-    """Return what theory has for the same."""
+    """Return the values of the theory for the same quantities."""
     port, urn = ports.disc(Circuit(1, 1, width1, width2)), transfer(1.0, width1, width2)
     back = visits(1.0, width1, width2)
     place, weight = back.nodes()

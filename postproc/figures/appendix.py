@@ -25,9 +25,9 @@ if TYPE_CHECKING:
     Floats = NDArray[np.float64]
 
 TWO = WELL_MIXED[:2]
-LEAST = 1e-3  # currents of theory below this (per unit time) are left out of relative differences
-LOWEST = -1.5  # relative differences that app3 draws in their place
-FILLS = (  # looks of app3's marks, a theory each
+LEAST = 1e-3  # smallest current of theory (per unit time) in relative differences
+LOWEST = -1.5  # smallest relative difference in the upper panel of app3
+FILLS = (  # fill styles of app3's marks, one for each theory
     {"fillstyle": "full"},
     {"fillstyle": "none"},
     {"fillstyle": "left", "markerfacecoloralt": "white"},
@@ -37,13 +37,13 @@ MARKS = {0: ("s", style.BLUE), 1: ("o", style.VERMILION), 2: ("^", style.GREEN)}
 
 
 def _theory(results: Results, group: Points, thresholds: Floats, model: Model) -> Floats:
-    """Return a theory's current at other thresholds of a group of one N and w."""
+    """Return a theory's current at given thresholds, for a group of one N and w."""
     urn = results.circuit(int(group.point[0]))
     return model.urn_current(replace(urn, threshold=thresholds))
 
 
 def _groups(points: Points) -> list[tuple[int, int, Points]]:
-    """Return (which N, which w, points by T) for each pair of values."""
+    """Return (index of N, index of w, points by T) for each pair of values."""
     found = []
     for row, number in enumerate(np.unique(points.number)):
         for column, width in enumerate(np.unique(points.channel1_width)):
@@ -112,7 +112,7 @@ def figure_app3(files: Sequence[Results], models: Sequence[Model] = WELL_MIXED) 
     """Return the relative difference of theory and measured current.
 
     Above, of the first theory (the paper's) and the second; below, on a scale of its own, of all
-    but the first. What lies below the upper panel is marked at its edge with the value.
+    but the first. Values below the upper panel are written at its edge.
     """
     points = gather(files)
     count = np.unique(points.number).size
@@ -126,8 +126,8 @@ def figure_app3(files: Sequence[Results], models: Sequence[Model] = WELL_MIXED) 
             expected = _theory(results, group, group.threshold, model)
             difference, error = relative_difference(group.current, group.current_error, expected)
             lines = {"color": colour, "lw": 0.7, "ms": 4.4, "marker": mark, "ls": model.dashes}
-            chosen = [axes for axes, kept in zip(panels[:, row], (at < 2, at > 0), strict=True)
-                      if kept]  # fmt: skip
+            chosen = [axes for axes, shown in zip(panels[:, row], (at < 2, at > 0), strict=True)
+                      if shown]  # fmt: skip
             for axes in chosen:
                 axes.errorbar(fraction, difference, error, **lines, **fill)
             unknown += int(np.isnan(difference).sum())
@@ -160,7 +160,7 @@ def figure_app3(files: Sequence[Results], models: Sequence[Model] = WELL_MIXED) 
 
 
 def _mark_beyond(beyond: Sequence[tuple[Axes, float, float, str]]) -> None:
-    """Mark what lies below the panel at its edge, with its value, one above the other."""
+    """Mark points below the panel at its edge, with their values, one above the other."""
     for place, (axes, x, y, colour) in enumerate(beyond):
         level = LOWEST + 0.06
         axes.plot([x], [level], "v", color=colour, ms=4, clip_on=False, zorder=4)

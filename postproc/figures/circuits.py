@@ -39,7 +39,7 @@ EARLY = 3000.0  # time within which the transient battery at T = 2 decays
 
 
 def _with_tasks(files: Sequence[Results]) -> Points:
-    """Return the points with a complete task, by T, six at most."""
+    """Return the points with a complete task, by T, at most `MOST`."""
     points = gather(files)
     done = [
         files[file].done[point].any() for file, point in zip(points.file, points.point, strict=True)
@@ -49,7 +49,7 @@ def _with_tasks(files: Sequence[Results]) -> Points:
 
 
 def figure_comp05(files: Sequence[Results], models: Sequence[Model] = PAIR) -> Figure:
-    """Return flows and net currents against time, a panel a point by increasing T, eta below."""
+    """Return flows and net currents against time, a panel for each point by T, eta below."""
     points = _with_tasks(files)
     count = points.number.size
     made = style.figure(max(3.1 * count, 4.6), 5.4)
@@ -74,10 +74,10 @@ def figure_comp05(files: Sequence[Results], models: Sequence[Model] = PAIR) -> F
 
 
 def figure_comp06(files: Sequence[Results], models: Sequence[Model] = PAIR) -> Figure:
-    """Return chi, and below it the net current through channel 2, against time, a colour a T.
+    """Return chi, and below it the net current of channel 2, against time, a colour for each T.
 
-    The current counts from the urn that was full at the start to the other. On the left the start,
-    if the run is much longer.
+    The current is counted from the urn that was full at the start to the other. The beginning is
+    shown on the left if the run is much longer.
     """
     points = _with_tasks(files)
     last = max(float(files[file].value("series/time").max()) for file in np.unique(points.file))
@@ -141,8 +141,8 @@ def _draw_histories(
 def figure_comp01(files: Sequence[Results], models: Sequence[Model] = ()) -> Figure:
     """Return currents along the polarity against T/N and against chi, one mark for each w'.
 
-    The polarity is that of the moment, at all points: next to a transition chi alone does not tell
-    which are polarised.
+    The polarity is the instantaneous one, at all points: next to a transition chi does not decide
+    which points are polarised.
     `models` are the theories to draw, those of `models.best` if none are given.
     """
     models = models or best()

@@ -1,4 +1,4 @@
-"""Flows and net currents against time with what theories say of them, and eta beside them."""
+"""Flows and net currents against time with their values by theories, and eta beside them."""
 
 from __future__ import annotations
 
@@ -28,8 +28,8 @@ if TYPE_CHECKING:
 
 MARKS = 32  # points of a flow along the axis
 BINS = 80  # steps of the lines of the net currents
-START = 0.05  # share of the time at whose peaks the axis does not look
-GAP = 0.4  # share of the axis without anything from which on it is left out
+START = 0.05  # share of the time at the start that is ignored for the range of the axis
+GAP = 0.4  # smallest empty share of the axis that is left out
 FLOW_LOOK = {
     "flow1_12": ("o", style.BLUE, "channel 1, urn 1 → 2"),
     "flow1_21": ("s", style.ORANGE, "channel 1, urn 2 → 1"),
@@ -39,7 +39,7 @@ FLOW_LOOK = {
 
 
 def binned(time: Floats, values: Floats, bins: int) -> tuple[Floats, Floats, Floats]:
-    """Return middle, mean and standard error of at most `bins` runs of equally many entries."""
+    """Return middle, mean and standard error of at most `bins` bins of equally many entries."""
     pieces = min(bins, time.size)
     starts = np.linspace(0, time.size, pieces + 1).astype(int)
     begin = np.concatenate([[0.0], time])[starts[:-1]]
@@ -61,7 +61,7 @@ def settled_number2(circuit: Circuit, series: Series) -> float:
 def draw_eta(
     axes: Axes, circuit: Circuit, models: Sequence[Model], number2: float | None = None
 ) -> None:
-    """Draw eta of eq. (eq007) against N2/N, its zeros, and a disc at the state that was reached."""
+    """Draw eta of eq. (eq007) against N2/N, its zeros, and a disc at the state of the run."""
     total = float(circuit.number)
     second = np.linspace(0.0, total, 801)
     axes.axhline(0.0, color=style.GREY, linewidth=0.6)
@@ -80,7 +80,7 @@ def draw_eta(
 
 
 def explain_eta(axes: Axes) -> None:
-    """Add to a legend what the discs on eta are."""
+    """Add the discs on eta to a legend."""
     look = {"ls": "none", "marker": "o", "mec": style.BLACK, "mew": 0.6, "ms": 3.2}
     axes.plot([], [], mfc=style.GREY, label="stable", **look)
     axes.plot([], [], mfc="white", label="unstable", **look)
@@ -91,12 +91,11 @@ def explain_eta(axes: Axes) -> None:
 def draw_currents(
     made: Figure, cell: SubplotSpec, circuit: Circuit, series: Series, models: Sequence[Model]
 ) -> list[Axes]:
-    """Draw flows (marks), net currents (lines), and what theories say of both; return the panels.
+    """Draw flows (marks), net currents (lines), and both by theories; return the panels.
 
-    Net currents are counted along the polarity that the run ends with, both with the same sign. A
-    theory's flow has the colour of the marks that it is meant for, its net current is black. Where
-    there is nothing over much of the axis it is broken, so there are one or two panels, the upper
-    one first.
+    Net currents are counted along the final polarity of the run, both with the same sign. A
+    theory's flow has the colour of the corresponding marks, its net current is black. The axis is
+    broken if a large part of it is empty, so there are one or two panels, the upper one first.
     """
     reached = settled_number2(circuit, series)
     levels = [model.levels(circuit, reached) for model in models]
@@ -139,8 +138,8 @@ def _ranges(values: Floats) -> list[tuple[float, float]]:
         at = int(gaps.argmax())
         parts = [(low, float(ordered[at])), (float(ordered[at + 1]), high)]
     widest = max(*(end - begin for begin, end in parts), 0.02 * abs(high), 1e-12)
-    room = [max(0.15 * (end - begin), 0.05 * widest) for begin, end in parts]
-    return [(begin - more, end + more) for (begin, end), more in zip(parts, room, strict=True)]
+    margins = [max(0.15 * (end - begin), 0.05 * widest) for begin, end in parts]
+    return [(begin - more, end + more) for (begin, end), more in zip(parts, margins, strict=True)]
 
 
 def _draw(
@@ -164,7 +163,7 @@ def _draw_levels(axes: Axes, model: Model, levels: dict[str, float]) -> None:
 
 
 def _break(upper: Axes, lower: Axes) -> None:
-    """Show that the axis goes on from one panel to the other without what lies between."""
+    """Mark the break of the axis between the panels."""
     upper.tick_params(labelbottom=False, bottom=False)
     lower.tick_params(top=False)
     upper.spines["bottom"].set_visible(False)
@@ -181,12 +180,12 @@ def figure_currents(
     circuit, series = results.any_circuit(point), results.series(point, replica)
     made = style.figure(style.PAGE, 3.7)
     left, right = made.add_gridspec(1, 2, width_ratios=(2.2, 1.0))
-    # What no theory knows stands alone.
-    said = () if results.beyond_theory(point) else models
-    axes = draw_currents(made, left, circuit, series, said)[0]
-    if said:
+    # Circuits beyond the theories are drawn alone.
+    drawn = () if results.beyond_theory(point) else models
+    axes = draw_currents(made, left, circuit, series, drawn)[0]
+    if drawn:
         balance = made.add_subplot(right)
-        draw_eta(balance, circuit, said, settled_number2(circuit, series))
+        draw_eta(balance, circuit, drawn, settled_number2(circuit, series))
         balance.set_title(r"$\eta$, what urn 2 gains")
         explain_eta(balance)
         balance.legend(fontsize=6.5, loc="best", handletextpad=0.2)

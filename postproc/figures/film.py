@@ -35,15 +35,15 @@ if TYPE_CHECKING:
 SECONDS = 30.0  # longest film
 RATE = 25  # frames a second
 DOTS = 100  # dots per inch
-CLOSE = 0.6  # snapshots nearer than this in time are joined by straight flight
+CLOSE = 0.6  # snapshots closer than this in time are joined by straight flight
 FLASH = 6  # frames that a flash lasts
-LONGEST_FLASH = 0.5  # and in time at most
-HALVINGS = 20  # of a flight, to find where a wall stops it
+LONGEST_FLASH = 0.5  # longest flash in simulated time
+HALVINGS = 20  # bisections of a flight, to find its end at a wall
 
 
 @dataclass
 class Scenes:
-    """What the film shows.
+    """Data of a film.
 
     Attributes
     ----------
@@ -65,7 +65,7 @@ class Scenes:
 
 
 def read_scenes(results: Results, point: int, replica: int) -> Scenes:
-    """Return what a file has for a film of one task."""
+    """Read the data for a film of one task."""
     snapshots = results.snapshots(point, replica)
     if len(snapshots) < 2:
         raise cli.InputError(f"{results.path}: a film needs at least two snapshots")
@@ -80,10 +80,10 @@ def read_scenes(results: Results, point: int, replica: int) -> Scenes:
 
 
 def flown(circuit: Circuit, snapshot: Snapshot, after: float) -> tuple[Floats, Floats]:
-    """Return where the particles are a short time after a snapshot, in straight flight.
+    """Return the positions a short time after a snapshot, in straight flight.
 
-    In a channel y is folded between the walls; in an urn a flight stops at the wall. Who flies
-    across the periodic line comes in at the other end.
+    In a channel y is folded between the walls; in an urn a flight stops at the wall. A particle
+    that crosses the periodic line enters at the other end.
     """
     x, y = snapshot.x + snapshot.ux * after, snapshot.y + snapshot.uy * after
     narrow = np.abs(snapshot.x) <= 0.5 * circuit.channel1_length
@@ -110,7 +110,7 @@ def flown(circuit: Circuit, snapshot: Snapshot, after: float) -> tuple[Floats, F
 
 
 def _mouth(circuit: Circuit, x: Floats) -> Floats:
-    """Return how far out channel 2 begins on the side of each particle."""
+    """Return |x| where channel 2 begins on the side of each particle."""
     return of_side(circuit, x, lambda side: side.urn_centre + side.chords[1])
 
 
@@ -124,7 +124,7 @@ def _over_the_line(circuit: Circuit, x: Floats) -> Floats:
 def _stopped_at_walls(
     circuit: Circuit, snapshot: Snapshot, flown_to: tuple[Floats, Floats], in_urn: NDArray[np.bool_]
 ) -> tuple[Floats, Floats]:
-    """Return the ends of flights that stop at the walls of a polygon, found by halving."""
+    """Return the ends of flights that stop at the walls of a polygon, by bisection."""
     start = np.column_stack([snapshot.x, snapshot.y])
     end = np.column_stack(flown_to)
     for way, side in zip((1.0, -1.0), circuit.sides, strict=True):
@@ -144,7 +144,7 @@ def _stopped_at_walls(
 
 
 def _beside_scatterers(circuit: Circuit, x: Floats, y: Floats) -> tuple[Floats, Floats]:
-    """Return where the particles are if a flight stops at the disc that it meets."""
+    """Return the positions of particles whose flights stop at the discs that they hit."""
     line = -np.sign(x) * of_side(circuit, x, lambda side: side.end)
     behind = np.abs(x) > _mouth(circuit, x)
     for z, height, radius in circuit.scatterers:
@@ -158,15 +158,16 @@ def _beside_scatterers(circuit: Circuit, x: Floats, y: Floats) -> tuple[Floats, 
 
 
 def joined(times: Floats) -> bool:
-    """Tell whether snapshots lie so close that particles fly from one to the next."""
+    """Tell whether snapshots are so close that they are joined by straight flight."""
     return times.size > 1 and float(np.diff(times).max()) <= CLOSE
 
 
 def frame_times(times: Floats, seconds: float) -> Floats:
     """Return the time shown in each frame of a film of snapshots at `times`.
 
-    Close snapshots: evenly from the first to the last. Others: each stands for equally many frames,
-    a second at most, so that no frame claims a time at which nobody knows where the particles are.
+    Close snapshots: evenly from the first to the last. Others: each is shown for equally many
+    frames, at most for a second, so that no frame shows a time at which the positions are not
+    known.
     """
     frames = max(int(seconds * RATE), 2)
     if joined(times):
@@ -179,7 +180,7 @@ class Stage:
     """A figure whose artists are moved from frame to frame."""
 
     def __init__(self, scenes: Scenes) -> None:
-        """Draw what stays, and make what moves."""
+        """Draw the fixed artists, and make those that move."""
         self.scenes = scenes
         self.figure: Figure = style.figure(8.0, 4.8)
         table_axes, below = self.figure.subplots(2, 1, height_ratios=(2.2, 1.0))

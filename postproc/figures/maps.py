@@ -48,7 +48,7 @@ def edges(centres: Floats) -> Floats:
 
 
 def by_start(points: Points) -> list[tuple[str, Points]]:
-    """Return the points that began homogeneous and those that began polarised, if any."""
+    """Return the points that began homogeneous, and those that began polarised, if any."""
     polarised = points.start > POLARISED
     parts = [(r"$\chi(0) = 0$", ~polarised), (r"$\chi(0) = 1$", polarised)]
     return [(name, points.where(chosen)) for name, chosen in parts if chosen.any()]
@@ -76,9 +76,9 @@ def transition_lines(points: Points, circuit: Circuit, models: Sequence[Model]) 
 
 
 def tricritical_places(circuit: Circuit, models: Sequence[Model]) -> Floats:
-    """Return T/N and w' where transitions of theories turn from a jump (left) to continuous.
+    """Return T/N and w' where transitions of theories change from a jump (left) to continuous.
 
-    Shape (2, theory that has one).
+    Shape (2, theory with such a point).
     """
     found = [place for model in models if (place := model.tricritical_place(circuit))]
     return np.reshape(found, (-1, 2)).T / [[float(circuit.number)], [1.0]]
@@ -97,10 +97,10 @@ def _draw_lines(axes: Axes, points: Points, lines: Sequence[Line], marks: Floats
 
 
 def figure_numris(files: Sequence[Results], models: Sequence[Model] = QUICK) -> Figure:
-    """Return maps of chi and current, a row a start, and where two starts end differently.
+    """Return maps of chi and current, a row for each start, and of the difference of two starts.
 
-    The current is that along the polarity of the moment: where the polarity reverses in a run, one
-    with a sign would cancel.
+    The current is counted along the instantaneous polarity: one with a fixed sign would cancel if
+    the polarity reverses in a run.
     """
     points = gather(files)
     if np.unique(points.number).size > 1 or np.unique(points.channel1_width).size > 1:
@@ -142,7 +142,7 @@ def _draw_differences(
     marks: Floats,
     looks: list[tuple[str, str, dict[str, object]]],
 ) -> None:
-    """Draw what the polarised start ends with less what the homogeneous start ends with."""
+    """Draw the result of the polarised start minus that of the homogeneous start."""
     (_, one), (_, other) = starts
     places = [list(zip(part.threshold, part.channel2_width, strict=True)) for part in (one, other)]
     pairs = [(places[0].index(key), at) for at, key in enumerate(places[1]) if key in places[0]]

@@ -20,13 +20,13 @@ if TYPE_CHECKING:
     from postproc.reading.results import Results
 
 SHOWN = 40  # particles of a run that are drawn
-# wider than the paper's runs, so that all can be seen
+# wider than in the paper's runs, so that all lengths are visible
 EXAMPLE = Circuit(SHOWN, 7, channel1_width=0.5, channel1_length=1.2, channel2_width=0.2)
 URN = Circuit(SHOWN, 7, channel1_width=0.5, channel1_length=1.2, channel2_width=0.0, shape="urn")
 
 
 def example_snapshot(circuit: Circuit, count: int = SHOWN, seed: int = 4) -> Snapshot:
-    """Return particles spread evenly over urns and channels, with random directions."""
+    """Return particles uniform in urns and channels, with random directions."""
     random = np.random.default_rng(seed)
     x, y = random.uniform(-1.0, 1.0, (2, 100 * count)) * [[circuit.end], [circuit.urn_radius]]
     from_centre = np.abs(x) - circuit.urn_centre
@@ -73,7 +73,7 @@ def _figure(files: Sequence[Results], circuit: Circuit) -> Figure:
         snapshot = Snapshot(full.time, *parts)
     snapshot = snapshot or example_snapshot(circuit)
     made = style.figure(style.PAGE if circuit.shape == "circuit" else style.COLUMN * 1.2, 2.9)
-    made.set_layout_engine("none")  # the labels beside the table leave it no room
+    made.set_layout_engine("none")  # the labels are outside of the axes
     axes = made.add_axes((0.03, 0.02, 0.94, 0.94))
     draw_table(axes, circuit)
     counted = counted_by(circuit, snapshot) > 0

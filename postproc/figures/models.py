@@ -1,4 +1,4 @@
-"""Which theories figures draw where none is named, and the option that names them."""
+"""Default theories of the figures, and the option that names them."""
 
 from __future__ import annotations
 
@@ -29,10 +29,10 @@ def named(names: Iterable[str]) -> tuple[Model, ...]:
     return tuple(MODELS[name] for name in names)
 
 
-# of circuits: the paper's, the gate's own rule with well mixed urns, and the best
+# for circuits: the paper's, the exact rule of the gate with well mixed urns, and the best
 ALL = named(("window", "renewal_occupation", "direction"))
-PAIR = (ALL[0], ALL[-1])  # where there is no room for more
-QUICK = ALL[:2]  # where the best takes a minute
+PAIR = (ALL[0], ALL[-1])  # for figures of two theories
+QUICK = ALL[:2]  # for figures in which the best would take a minute
 # of the single urn
 WELL_MIXED = (ALL[0], replace(MODELS["renewal"], dashes="-"), ALL[1])
 

@@ -37,19 +37,19 @@ if TYPE_CHECKING:
     LoadOf = Callable[[Circuit, Floats], Floats]
     Line = tuple[LoadOf, str, str]
 
-# What a plane may be over, in this order: fields of a circuit, and their symbols.
+# Possible axes of a plane, in this order: fields of a circuit, and their symbols.
 KEYS = {
     "channel1_length": "$l$",
     "channel1_width": "$w$",
     "urn_radius": "$r$",
     "threshold": "$T$",
 }
-PAIR = (MODELS["window"], MODELS["renewal"])  # the paper's, and what has J = J at the start right
-LEVELS = (0.25, 0.5)  # chi at which the transition is looked for: half the paper's start, and it
-PLACES = 201  # along x and along y where a line is looked for
+PAIR = (MODELS["window"], MODELS["renewal"])  # the paper's, and the exact J(N1) = J(N2)
+LEVELS = (0.25, 0.5)  # chi at the transition: half the paper's initial chi, and this chi
+PLACES = 201  # along x and along y, at which a line is searched for
 COLUMNS = 3  # maps side by side
 DRAWN = np.linspace(0.5, 1.3, 41)  # N w l/(8 T A) at which theories' chi is drawn
-LOADS = np.linspace(0.4, 1.6, 121)  # N w l/(8 T A) at which theories are asked
+LOADS = np.linspace(0.4, 1.6, 121)  # N w l/(8 T A) at which theories are evaluated
 
 
 @dataclass(frozen=True)
@@ -58,8 +58,8 @@ class Plane:
 
     Attributes
     ----------
-    circuit : what does not vary; what does is that of the first point.
-    keys : what varies along x and y, of `KEYS`.
+    circuit : the circuit of the first point.
+    keys : keys along x and y, of `KEYS`.
     x, y : its values; where T varies it does along y.
     chi, chi_error : mean over the replicas and its standard error, shape (y, x).
     start : chi at the beginning.
@@ -79,7 +79,7 @@ class Plane:
 
 
 def plane_of(results: Results) -> Plane:
-    """Return the plane of a file; raise `InputError` if it holds something else."""
+    """Return the plane of a file; raise `InputError` if its scan is not one."""
     results.need_tasks()
     first = results.circuit(0)
     columns = {key: results.value(key) for key in KEYS}
@@ -114,7 +114,7 @@ def relative_load(circuit: Circuit) -> Floats:
 def slope_load(circuit: Circuit, thresholds: Floats, model: Model) -> Floats:
     """Return N w l/(8 T A) where J' = 0 at N/2 by a theory, for each T.
 
-    It depends on N and T alone: without channel 2, lengths enter by the load of the gates only.
+    It depends on N and T only: without channel 2, lengths enter only by the load of the gates.
     """
     own, half = model.of(_of_loads(circuit, thresholds)), 0.5 * float(circuit.number)
     inside = in_urn(own, np.full((LOADS.size, thresholds.size), half))
@@ -124,7 +124,7 @@ def slope_load(circuit: Circuit, thresholds: Floats, model: Model) -> Floats:
 def start_load(circuit: Circuit, thresholds: Floats, model: Model, start: float) -> Floats:
     """Return N w l/(8 T A) where J(N1) = J(N2) at chi = `start` by a theory, for each T.
 
-    Below it chi falls from there, beyond it chi rises.
+    Below it chi decreases from there, above it chi increases.
     """
     own, half = model.of(_of_loads(circuit, thresholds)), 0.5 * float(circuit.number)
     shape = (LOADS.size, thresholds.size)
@@ -154,9 +154,9 @@ def crossing(y: Floats, values: Floats) -> Floats:
 
 
 def line(plane: Plane, load_of: LoadOf, x: Floats | None = None) -> tuple[Floats, Floats]:
-    """Return (x, y) where N w l/(8 T A) is what `load_of` says of T, NaN where that is nowhere.
+    """Return (x, y) where N w l/(8 T A) is `load_of` at this T, NaN if there is no such point.
 
-    Only at whole T is it asked; in between it is interpolated.
+    It is evaluated at integer T and interpolated in between.
     """
     if x is None:
         x = np.linspace(plane.x[0], plane.x[-1], PLACES)
@@ -167,7 +167,7 @@ def line(plane: Plane, load_of: LoadOf, x: Floats | None = None) -> tuple[Floats
         y = np.linspace(plane.y[0], plane.y[-1], PLACES)
         wanted = load_of(plane.circuit, np.array([plane.circuit.threshold]))
     circuit = plane.at(x[None, :], y[:, None])
-    # the load itself, for it and what T times such a ratio is are nearly linear in T
+    # the load itself, since it and T times such a ratio are nearly linear in T
     apart = (relative_load(circuit) - wanted) * np.asarray(circuit.threshold, float)
     return x, crossing(y, apart)
 
@@ -180,7 +180,7 @@ def published_load(_: Circuit, thresholds: Floats) -> Floats:
 def lines_of(models: Sequence[Model], start: float) -> dict[str, Line]:
     """Return N w l/(8 T A) of each line as a function of circuit and T, and its look, by label.
 
-    What becomes of the start, chi = `start`, is of the last of the theories.
+    The line for the initial state, chi = `start`, is that of the last theory.
     """
     found: dict[str, Line] = {r"$N w \ell / 8 T A = 1$": (published_load, "-", style.BLACK)}
     for model in models:
@@ -211,7 +211,7 @@ def transitions(plane: Plane, models: Sequence[Model]) -> dict[str, Floats]:
 
 
 def table(planes: Sequence[Plane], models: Sequence[Model] = PAIR) -> str:
-    """Return N w l/(8 T A) at the transitions as text, a column a plane.
+    """Return N w l/(8 T A) at the transitions as text, a column for each plane.
 
     Means and, for runs, standard deviations over the columns in which the runs cross the lower of
     `LEVELS`. The published line is at 1.
@@ -238,7 +238,7 @@ def _cell(loads: Floats, measured: Floats, name: str) -> str:
 
 
 def figure_one_channel(files: Sequence[Results], models: Sequence[Model] = PAIR) -> Figure:
-    """Return a map for each plane, and below them chi of those of one T against N w l/(8 T A)."""
+    """Return a map for each plane, and below chi at one T against N w l/(8 T A)."""
     planes = sorted(
         (plane_of(results) for results in files),
         key=lambda one: (one.circuit.number, *(list(KEYS).index(key) for key in one.keys)),
@@ -293,7 +293,7 @@ def _draw_map(axes: Axes, plane: Plane, lines: dict[str, Line]) -> QuadMesh:
 
 
 def _draw_together(axes: Axes, group: Sequence[Plane], models: Sequence[Model]) -> None:
-    """Draw chi of planes with one T against N w l/(8 T A), and what theories have for it."""
+    """Draw chi of planes with one T against N w l/(8 T A), by runs and by theories."""
     for plane, colour in zip(group, style.CYCLE, strict=False):
         loads = relative_load(plane.at(plane.x[None, :], plane.y[:, None]))
         symbols = ", ".join(KEYS[key] for key in plane.keys)

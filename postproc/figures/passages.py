@@ -1,9 +1,9 @@
-"""Lifetimes of the homogeneous and the polarised state against N: measured, and of the chain.
+"""Lifetimes of the homogeneous and the polarised state against N, by runs and by the chain.
 
-The homogeneous state lasts from chi = 0 until chi first reaches `HIGH`, the polarised one from
-chi = 1 until chi first falls to `LOW`: both lie far beyond the barrier on the other side, so that
-a state that is left is left for good. The chain's times are those of the same passages, which are
-defined even where a theory has no such state, only a place where the drift is slow.
+The homogeneous state lasts from chi = 0 until chi first reaches `HIGH`, the polarised one from chi
+= 1 until chi first falls to `LOW`: both are far beyond the barrier, so that a passage is not a
+short recrossing. The chain's times are those of the same passages, which are defined even if a
+theory has no such state, only a region of slow drift.
 """
 
 from __future__ import annotations
@@ -34,9 +34,9 @@ if TYPE_CHECKING:
 
 LOW, HIGH = 0.2, 0.7  # chi at which the polarised, the homogeneous state has been left
 MIDDLE = 0.5  # starts with chi above this are polarised
-BOUND = 3.0  # the lifetime exceeds a third of the time in which nothing passed, at 95 %
+BOUND = 3.0  # without a passage the lifetime exceeds a third of the time, at 95 %
 CONFIDENCE = 0.6827  # of the intervals drawn
-DRAWN = (3e2, 1e10)  # lifetimes that are drawn, length/v
+DRAWN = (3e2, 1e10)  # range of lifetimes in the figure, length/v
 
 
 @dataclass(frozen=True)
@@ -47,7 +47,7 @@ class Lifetime:
     ----------
     circuit : the point's circuit, with the paper's gate.
     polarised : whether the runs began polarised.
-    passages, replicas : how many runs left the state, of how many.
+    passages, replicas : number of runs that left the state, and of all runs.
     time : total time before passages over their number (for exponential lifetimes the most likely
         mean, with runs that end before they pass); without a passage a lower bound at 95 %.
     low, high : its confidence interval at 68 %, NaN without a passage. If all runs passed, from
@@ -75,8 +75,8 @@ class Lifetime:
 def estimate(times: Sequence[float], passed: Sequence[bool]) -> tuple[float, float, float]:
     """Return mean lifetime and the ends of its interval (`Lifetime`) of runs, some not yet passed.
 
-    Those that did not pass enter with the time that they lasted, as it must be with lifetimes that
-    are censored: leaving them out would favour short ones.
+    Runs without a passage contribute their duration, as censored lifetimes: without them the mean
+    would be too short.
     """
     total, count = float(np.sum(times)), int(np.count_nonzero(passed))
     if count == 0:
@@ -105,7 +105,7 @@ def first_passage(series: Series, number: int, barrier: float, below: bool) -> t
 def measured(files: Sequence[Results]) -> list[Lifetime]:
     """Return the lifetimes at all points, by the first passages of their replicas.
 
-    What several files have of one circuit and one start is taken together.
+    Runs of one circuit and one start in several files are combined.
     """
     points = gather(files)
     passages: dict[tuple[Circuit, bool], list[tuple[float, bool]]] = {}
@@ -129,7 +129,7 @@ def measured(files: Sequence[Results]) -> list[Lifetime]:
 
 
 def table(found: Sequence[Lifetime], models: Sequence[Model] = ALL) -> str:
-    """Return the lifetimes and those of the chains as text, a line a point."""
+    """Return the lifetimes and those of the chains as text, a line for each point."""
     head = f"{'T':>2s} {'l':>4s} {'N':>5s} {'from':>11s} {'left':>7s} {'lifetime':>9s} "
     lines = [head + f"{'(68 %)':>20s}" + "".join(f"  {model.label}" for model in models)]
     for one in found:
@@ -200,7 +200,7 @@ def _draw_panel(axes: Axes, group: Sequence[Lifetime], models: Sequence[Model]) 
 def _draw_unmeasured(
     axes: Axes, group: Sequence[Lifetime], polarised: bool, models: Sequence[Model], colour: str
 ) -> None:
-    """Draw the chains of a state in which no run began, and say that, and which are above all."""
+    """Draw the chains of a state without runs, with a remark, and those beyond the axis."""
     others = sorted((replace(one, polarised=polarised) for one in group), key=_by_number)
     beyond = []
     for model in models:

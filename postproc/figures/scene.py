@@ -25,7 +25,7 @@ ROUNDING = 1e-9  # of a place on a wall
 
 
 def ways(circuit: Circuit) -> list[tuple[float, Circuit]]:
-    """Return each side that there is, by the way along x to it, as a circuit of two like it."""
+    """Return each side as (sign of x, circuit with both sides like it)."""
     sides = zip((-1.0, 1.0), circuit.sides, strict=True)
     return list(sides) if circuit.shape == "circuit" else [(-1.0, circuit)]
 
@@ -33,7 +33,7 @@ def ways(circuit: Circuit) -> list[tuple[float, Circuit]]:
 def of_side(
     circuit: Circuit, x: NDArray[np.float64], what: Callable[[Circuit], ArrayLike]
 ) -> NDArray[np.float64]:
-    """Return what each particle's side has, shape (particle,)."""
+    """Return a quantity of each particle's side, shape (particle,)."""
     one, two = (float(what(side)) for side in circuit.sides)
     return np.where(x < 0.0, one, two)
 
@@ -84,7 +84,7 @@ def _walls_of_polygons(circuit: Circuit) -> list[NDArray[np.float64]]:
 def gate_of(
     circuit: Circuit, x: NDArray[np.float64], y: NDArray[np.float64]
 ) -> NDArray[np.int_]:
-    """Return in which gate each particle is: 1, 2, or 0 for none; shape (particle,)."""
+    """Return the gate that contains each particle: 1, 2, or 0 for none; shape (particle,)."""
     inside = np.abs(x) <= 0.5 * circuit.channel1_length
     if circuit.outline is not None:  # an urn may reach over the channel
         inside &= np.abs(y) <= 0.5 * circuit.channel1_width * (1.0 + ROUNDING)
@@ -92,7 +92,7 @@ def gate_of(
 
 
 def counted_by(circuit: Circuit, snapshot: Snapshot) -> NDArray[np.int_]:
-    """Return which gate counts each particle: in it and heading for the other; 0 for none."""
+    """Return the gate that counts each particle: in it, moving to the other; 0 for none."""
     gate = gate_of(circuit, snapshot.x, snapshot.y)
     heads = np.where(gate == 1, snapshot.ux > 0.0, snapshot.ux < 0.0)
     return np.where(heads, gate, 0)
@@ -131,18 +131,18 @@ def draw_table(axes: Axes, circuit: Circuit) -> None:
 
 
 def draw_scatterers(axes: Axes, circuit: Circuit) -> None:
-    """Draw the discs in channel 2, cut off at its walls; one astride the line at both ends."""
+    """Draw the discs in channel 2, clipped at its walls; one on the periodic line at both ends."""
     half, length = 0.5 * float(circuit.channel2_width), 0.5 * float(circuit.channel2_length)
     for way, side in ways(circuit):
         # Urn 1 and its half, z > 0, lie at x < 0.
         line = way * float(side.end)
         corner = min(line, line - way * length), -half
-        room = Rectangle(corner, length, 2.0 * half, transform=axes.transData)
+        channel = Rectangle(corner, length, 2.0 * half, transform=axes.transData)
         for z, y, radius in circuit.scatterers:
             if radius - way * z > 0.0:
                 disc = Circle((line + z, y), radius, fc=style.GREY, ec=style.BLACK, lw=0.6)
-                axes.add_patch(disc).set_clip_path(room)
-                disc.set_in_layout(False)  # its own clip path does not tell how far it reaches
+                axes.add_patch(disc).set_clip_path(channel)
+                disc.set_in_layout(False)  # the layout would ignore its clip path
 
 
 def _colours(circuit: Circuit, snapshot: Snapshot) -> tuple[NDArray[np.str_], NDArray[np.bool_]]:

@@ -1,4 +1,4 @@
-"""One look for all pictures: sizes, colours that colour-blind readers tell apart, PNG and PDF."""
+"""Common style of all pictures: sizes, colours for colour-blind readers, PNG and PDF."""
 
 from __future__ import annotations
 
@@ -82,7 +82,7 @@ def figure(width: float = PAGE, height: float = 3.2) -> Figure:
 
 
 def on_map(colour: str = BLACK, width: float = 1.2) -> dict[str, object]:
-    """Return the look of a line that is seen on any colour of a map, and in a legend beside it."""
+    """Return the style of a line that is visible on any colour of a map, and in a legend."""
     border = [Stroke(linewidth=width + 0.9, foreground="white"), Normal()]
     return {"color": colour, "lw": width, "path_effects": border}
 
@@ -107,7 +107,7 @@ def note(axes: Axes, text: str) -> None:
 
 
 def save(made: Figure, folder: Path, name: str) -> list[Path]:
-    """Write `name`.png and `name`.pdf into `folder`, say so, return their paths."""
+    """Write `name`.png and `name`.pdf into `folder`, print and return their paths."""
     output_folder(folder)
     paths = [folder / f"{name}.png", folder / f"{name}.pdf"]
     try:

@@ -1,4 +1,4 @@
-"""Results as a dataset of xarray on the grid of the scan, with theory beside them if asked for."""
+"""Results as a dataset of xarray on the grid of the scan, with theories if requested."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     Axes = dict[str, tuple[NDArray[np.generic], dict[str, str]]]
 
 GROUPS = ("series", "snapshots", "final", "events")
-# What a point of the scan is, whether it was scanned or not.
+# Parameters of a point, scanned or not.
 PARAMETERS = (
     "number", "threshold", "gate_threshold", "urn1_number", "urn_radius",
     "channel1_width", "channel1_length", "channel2_width", "channel2_length",
@@ -104,7 +104,7 @@ def open_results(
 
 
 def _masked(values: xr.DataArray, known: xr.DataArray) -> xr.DataArray:
-    """Return the values of complete tasks, NaN for the others; whole numbers stay what they are."""
+    """Return the values of complete tasks, NaN for the others; integers are unchanged."""
     by_task = {"point", "replica"} <= set(values.dims)
     if not by_task or values.dtype.kind != "f":
         return values
@@ -116,12 +116,12 @@ def _with_second_radius(data: xr.Dataset, axes: Axes | None) -> xr.Dataset:
     if not axes or "urn_radius" not in axes or "urn" not in data["urn_radius"].dims:
         return data
     second = data["urn_radius"].isel(urn=1, drop=True)
-    told = {"units": "length", "long_name": "radius r of urn 2"}
-    return data.assign_coords(urn_radius2=(second.dims, second.data, told))
+    attributes = {"units": "length", "long_name": "radius r of urn 2"}
+    return data.assign_coords(urn_radius2=(second.dims, second.data, attributes))
 
 
 def _on_grid(data: xr.Dataset, axes: Axes | None) -> xr.Dataset:
-    """Put the scan's keys in the place of `point`, and drop what a parameter does not depend on."""
+    """Replace `point` by the scan's keys; drop dimensions on which a parameter does not depend."""
     if axes is None or "point" not in data.dims:
         return data
     shape = [len(values) for values, _ in axes.values()]
@@ -139,8 +139,9 @@ def _on_grid(data: xr.Dataset, axes: Axes | None) -> xr.Dataset:
             coordinates[name] = _without_idle(grid, axes)
         else:
             variables[name] = grid
-    for name, (values, told) in axes.items():
-        coordinates[name] = xr.Variable(name, values, data[name].attrs if name in data else told)
+    for name, (values, attributes) in axes.items():
+        known = data[name].attrs if name in data else attributes
+        coordinates[name] = xr.Variable(name, values, known)
     if "urn_radius" in axes and "urn_radius" in data:
         coordinates |= _second_radius(data["urn_radius"], axes)
     return xr.Dataset(variables, coordinates)
@@ -167,7 +168,7 @@ def _without_idle(values: xr.Variable, axes: Axes) -> xr.Variable:
 
 
 def _theory(results: Results, models: Sequence[str]) -> dict[str, xr.Variable]:
-    """Return what the models say of each point, by name, with dimensions (theory, point)."""
+    """Return the models' results at each point, by name, with dimensions (theory, point)."""
     urn = results.shape == "urn"
     meanings = URN_THEORY if urn else THEORY
     mixed = [name for name, model in MODELS.items() if model.mixed]
@@ -179,32 +180,32 @@ def _theory(results: Results, models: Sequence[str]) -> dict[str, xr.Variable]:
         for point in range(results.points):
             case = results.any_circuit(point), model
             if case not in known:
-                known[case] = _said_of_urn(*case) if urn else _said_of(*case)
+                known[case] = _theory_values_of_urn(*case) if urn else _theory_values(*case)
             found[:, at, point] = known[case]
     added = {
-        name: xr.Variable(("theory", "point"), values, {"units": unit, "long_name": told})
-        for (name, (unit, told)), values in zip(meanings.items(), found, strict=True)
+        name: xr.Variable(("theory", "point"), values, {"units": unit, "long_name": meaning})
+        for (name, (unit, meaning)), values in zip(meanings.items(), found, strict=True)
         if not (name.endswith("_error") and np.isnan(values).all())
     }
     return {"theory": xr.Variable("theory", models), **added}
 
 
-def _said_of_urn(circuit: Circuit, model: str) -> list[float]:
-    """Return what a model says of the single urn, in the order of `URN_THEORY`."""
+def _theory_values_of_urn(circuit: Circuit, model: str) -> list[float]:
+    """Return a model's results for the single urn, in the order of `URN_THEORY`."""
     return [float(MODELS[model].urn_current(circuit))]
 
 
-def _said_of(circuit: Circuit, model: str) -> list[float]:
-    """Return what a model says of a circuit, in the order of `THEORY`."""
-    told = describe(circuit, MODELS[model])
-    stable = [root for root in told["roots"] if root["kind"] == "stable"]
+def _theory_values(circuit: Circuit, model: str) -> list[float]:
+    """Return a model's results for a circuit, in the order of `THEORY`."""
+    answer = describe(circuit, MODELS[model])
+    stable = [root for root in answer["roots"] if root["kind"] == "stable"]
     none = {"mass_spread": 0.0, "net_current": 0.0}
     best = max(stable, key=lambda root: root["mass_spread"], default=none)
     values = [
         best["mass_spread"],
         best["net_current"],
-        STATES.get(told["homogeneous"]),
-        told["transition_width"],
+        STATES.get(answer["homogeneous"]),
+        answer["transition_width"],
         best.get("mass_spread_error"),
         best.get("net_current_error"),
     ]

@@ -1,9 +1,9 @@
-"""What a results file may hold: every dataset and attribute by name, with dimensions and types.
+"""Allowed contents of a results file: datasets and attributes, with dimensions and types.
 
-A results file may be made by anyone: the digest at its end has no secret. So it is checked against
-this list before a byte of it is used (`check_layout`). What is not in the list is refused, and so
-is what does not lie in the file itself: soft and external links, external storage, virtual
-datasets, named types, references, filters other than the program's.
+Anyone can make a results file: the digest at its end needs no secret. So it is checked against this
+list before its data are used (`check_layout`). Everything else is refused, and so are objects that
+are not stored in the file itself: soft and external links, external storage, virtual datasets,
+named types, references, filters other than the program's.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ LENGTHS = ("channel1_width", "channel2_width", "channel1_length", "channel2_leng
 STATE = ("x", "y", "ux", "uy")
 FLOWS = ("flow1_12", "flow1_21", "flow2_12", "flow2_21")
 AVERAGED = ("chi", "current1", "current2", "polarised_current")  # with errors from blocks
-PARTICLES = 200_000_000  # most that the program takes
+PARTICLES = 200_000_000  # largest number of the program
 
 POINT, TASK = ("point",), ("point", "replica")
 
@@ -86,7 +86,7 @@ def _datasets() -> dict[str, Declared]:
 
 DATASETS = _datasets()
 GROUPS = ("series", "snapshots", "final", "events", "scan", "provenance")
-# Attributes that are texts, and those that are numbers, with how many there may be at most.
+# Attributes that are texts, and those that are numbers, with their largest extents.
 ROOT_TEXTS = {
     "program", "version", "git_commit", "compiler", "compiler_options", "mpi_library",
     "hdf5_library", "gsl_library", "namelist", "created", "status", "initial_file_fingerprint",
@@ -97,17 +97,17 @@ ROOT_NUMBERS = {"mpi_ranks": 1, "start_time": 1, "urn_sides": 1,
                 "urn_vertices": 1 << 16, "urn2_vertices": 1 << 16}  # fmt: skip
 TEXTS = {"units", "long_name", "flag_meanings"}
 NUMBERS = {"_FillValue": 1, "flag_values": 16}
-# What dimension scales have; it is not read here, where the list says which dimension is which.
+# Attributes of dimension scales; they are not read, since the list has the dimensions.
 SCALES = {"CLASS", "NAME", "DIMENSION_LIST", "REFERENCE_LIST"}
-# These say what is computed, so they are words of a list.
+# Attributes that determine the model have one of these words.
 CHOICES = {"status": ("complete", "partial"), "shape": ("circuit", "urn"),
            "urn_shape": ("disc", "polygon")}  # fmt: skip
 
 FILTERS = {h5z.FILTER_SHUFFLE, h5z.FILTER_DEFLATE}
 PIECE = 1 << 20  # bytes of the largest piece of a compressed dataset
-SMALLER = 1100  # times that compression makes anything smaller, at most
-LONGEST = 200  # letters of a unit or of a meaning
-VERSION = re.compile(r"[0-9a-z.-]{1,32}")  # what a version looks like
+SMALLER = 1100  # largest compression ratio
+LONGEST = 200  # characters of a unit or of a meaning
+VERSION = re.compile(r"[0-9a-z.-]{1,32}")  # pattern of a version
 
 
 def check_layout(path: Path, file: h5py.File) -> None:
@@ -118,7 +118,7 @@ def check_layout(path: Path, file: h5py.File) -> None:
         _check_attributes(path, "/", file, ROOT_TEXTS, ROOT_NUMBERS)
     except InputError:
         raise
-    # What HDF5 says of a file that it cannot make sense of comes as any of these.
+    # HDF5 raises any of these for a file that it cannot read.
     except (OSError, RuntimeError, KeyError, ValueError, TypeError) as problem:
         reason = " ".join(str(problem).split())
         raise InputError(f"{path}: not as battery writes it ({reason})") from problem
@@ -140,7 +140,7 @@ def _walk(path: Path, file: h5py.File) -> Iterator[tuple[str, h5py.Dataset]]:
 
 
 def _names(path: Path, group: h5py.Group, inside: str) -> Iterator[str]:
-    """Iterate over the names in a group, each of which must be known and lie in the group."""
+    """Iterate over the names in a group, each of which must be known and stored in the group."""
     for word in group.id:
         name = word.decode("utf-8", "replace")
         known = inside + name in DATASETS or (not inside and name in GROUPS)
@@ -152,8 +152,8 @@ def _names(path: Path, group: h5py.Group, inside: str) -> Iterator[str]:
 
 
 def _dataset(path: Path, group: h5py.Group, name: str) -> h5py.Dataset:
-    """Return a dataset that lies in the file itself, with values of the declared kind."""
-    # How it is stored comes first: to ask a virtual dataset for its shape opens other files.
+    """Return a dataset that is stored in the file itself, with values of the declared kind."""
+    # The storage is checked first: reading the shape of a virtual dataset opens other files.
     one = h5py.h5o.open(group.id, name.rpartition("/")[2].encode())
     if not isinstance(one, h5d.DatasetID):
         raise InputError(f"{path}: {name} is no dataset")
@@ -177,10 +177,10 @@ def _dataset(path: Path, group: h5py.Group, name: str) -> h5py.Dataset:
 
 
 def _check_pieces(path: Path, name: str, dataset: h5py.Dataset) -> None:
-    """Pieces are no larger than the program's, and each has the bytes of its values, inflated.
+    """Check that chunks are not larger than the program's, and have the bytes of their values.
 
-    What is longer in the file than compression has it grows without bound when it is read; beyond
-    the end of what is shorter HDF5 reads what else lies in memory.
+    A chunk that inflates to more bytes would use memory without bound; for one that is shorter HDF5
+    would read other memory beyond its end.
     """
     piece = math.prod(dataset.chunks) * dataset.dtype.itemsize
     if piece > PIECE:
@@ -205,9 +205,9 @@ def _check_pieces(path: Path, name: str, dataset: h5py.Dataset) -> None:
 
 
 def _check_shapes(path: Path, found: dict[str, h5py.Dataset]) -> None:
-    """Every dimension has one length wherever it stands, and all that is read fits into memory."""
+    """Check that each dimension has one length, and that all data to be read fit into memory."""
     lengths: dict[str, int] = {"gate": 2, "urn": 2}
-    # The shorter come first: dimensions have their lengths from their own coordinates.
+    # Datasets of lower rank come first: the length of a dimension is that of its coordinates.
     for name, dataset in sorted(found.items(), key=lambda one: len(DATASETS[one[0]].dims)):
         declared = DATASETS[name].dims
         if dataset.id.get_space().get_simple_extent_type() != h5s.SIMPLE:
@@ -223,12 +223,12 @@ def _check_shapes(path: Path, found: dict[str, h5py.Dataset]) -> None:
             if length != lengths.setdefault(own, length) or empty:
                 raise InputError(f"{path}: {name} has the shape {shape}, which does not fit the "
                                  f"others: {own} has {lengths[own]}")  # fmt: skip
-        # Only where replicas lack may there be less in the file than a shape says.
+        # Only if replicas are missing may the file have less data than a shape says.
         if len(shape) == 1 and name != "events/event" and (
             dataset.nbytes > SMALLER * (dataset.id.get_storage_size() + 64)
         ):  # fmt: skip
             raise InputError(f"{path}: {name} says it has more values than there are in the file")
-    # The root is read whole; of groups, `Results.dataset` asks for what it reads at once.
+    # The root is read as a whole; for groups, `Results.dataset` checks what it reads at once.
     check_memory(path, [one for name, one in found.items() if "/" not in name])
     for name, one in found.items():
         if "/" in name:
@@ -243,9 +243,9 @@ def check_memory(path: Path, datasets: Iterable[h5py.Dataset]) -> None:
 
 
 def memory_left() -> float:
-    """Return how many bytes this process can have; half of them is left for what is computed."""
-    told = Path("/proc/meminfo")
-    lines = told.read_text(encoding="ascii").splitlines() if told.exists() else []
+    """Return the bytes available for data; half of the memory is left for computations."""
+    meminfo = Path("/proc/meminfo")
+    lines = meminfo.read_text(encoding="ascii").splitlines() if meminfo.exists() else []
     free = [1024.0 * float(one.split()[1]) for one in lines if one.startswith("MemAvailable:")]
     left = min(free, default=math.inf)
     limit = resource.getrlimit(resource.RLIMIT_AS)[0]
@@ -281,7 +281,7 @@ def _check_attributes(
 
 
 def _check_words(path: Path, root: h5py.AttributeManager) -> None:
-    """Texts of the root that say what is computed say one of what there is."""
+    """Check that attributes of the root that determine the model have allowed values."""
     for key, allowed in CHOICES.items():
         if key in root and text_of(root[key]) not in allowed:
             raise InputError(f"{path}: attribute {key} is none of {', '.join(allowed)}")
@@ -291,7 +291,7 @@ def _check_words(path: Path, root: h5py.AttributeManager) -> None:
 
 
 def text_of(value: object) -> str:
-    """Return an attribute as text that can be written anywhere, whatever its bytes are."""
+    """Return an attribute as printable text, whatever its bytes are."""
     if isinstance(value, np.ndarray):
         value = value.ravel()[0] if value.size else ""
     if isinstance(value, bytes):

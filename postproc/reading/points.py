@@ -28,9 +28,9 @@ class Points:
     chi, chi_error : mean over the replicas and its standard error; NaN where no task is done.
     current, current_error : net current, per unit time, along the polarity of a polarised state,
         from urn 1 to urn 2 of a homogeneous one (`Results.net_current`); likewise.
-    along, along_error : net current along the polarity of the moment whatever chi is
+    along, along_error : net current along the instantaneous polarity, whatever chi is
         (`Results.polarised_current`); likewise.
-    file, point : where the point comes from: which of the files, and which point there, from 0.
+    file, point : origin of the point: index of the file, and of the point in it, from 0.
     """
 
     number: Floats

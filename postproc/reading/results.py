@@ -1,4 +1,4 @@
-"""Results of a run: opens the program's HDF5 file and says in one line what is wrong with it."""
+"""Results of a run: opens the program's HDF5 file; problems are reported in one line."""
 
 from __future__ import annotations
 
@@ -42,20 +42,20 @@ if TYPE_CHECKING:
     from postproc.theory.outlines import Outline
 
 NEEDED = ("number", "threshold", "channel1_width", "channel2_width", "current1")
-#: Arrays up to so many bytes are read once, and whole.
+#: Arrays up to this size in bytes are read once, and as a whole.
 KEPT = 1 << 28
 COMPLETE, NOT_ASKED = 0, 3  # values of `task_status`
 TWO_STATES = 2  # value of `point_status`
-POLARISED = 0.15  # chi from which on a state is taken to be polarised
+POLARISED = 0.15  # chi above which a state is called polarised
 LEAST, MOST = 1e-100, 1e100  # of lengths
-CORNERS = 1000  # most of an urn
+CORNERS = 1000  # largest number for an urn
 FEW = 4  # replicas that may agree by chance
-READABLE = ("0.1.", "0.2.", "0.3.")  # how the versions begin whose files are read
+READABLE = ("0.1.", "0.2.", "0.3.")  # prefixes of the versions whose files are read
 
 
 @dataclass(frozen=True)
 class Series:
-    """What was recorded against time in one task.
+    """Series of one task.
 
     Attributes
     ----------
@@ -91,7 +91,7 @@ class Results:
             self._file = h5py.File(path, "r")
         except OSError as problem:
             raise InputError(f"{path}: cannot be opened as an HDF5 file") from problem
-        self._kept: dict[str, NDArray[np.generic]] = {}
+        self._arrays: dict[str, NDArray[np.generic]] = {}
         try:
             self._check()
         except BaseException as problem:
@@ -99,7 +99,7 @@ class Results:
             raise
 
     def _check(self) -> None:
-        """Raise `InputError` unless all that is read is what the program writes."""
+        """Raise `InputError` unless all data that are read are such as the program writes."""
         missing = [name for name in NEEDED if name not in self._file]
         if missing or "namelist" not in self._file.attrs:
             lacks = missing[0] if missing else "namelist"
@@ -115,7 +115,7 @@ class Results:
         self._check_values()
 
     def _check_values(self) -> None:
-        """Raise `InputError` unless parameters of points are such as the program takes."""
+        """Raise `InputError` unless parameters of points are such as the program accepts."""
         number = self.value("number")
         bounds = {
             "number": (1, PARTICLES), "urn1_number": (0, number), "threshold": (0, 2**31),
@@ -154,7 +154,7 @@ class Results:
     def __exit__(self, _: object, problem: BaseException | None, __: object) -> None:
         """Close the file; raise `InputError` where HDF5 could not read from it."""
         self._file.close()
-        # What the system says has a number, what HDF5 says has none.
+        # Errors of the system have a number, those of HDF5 have none.
         if isinstance(problem, OSError) and problem.errno is None:
             reason = " ".join(str(problem).split())
             raise InputError(f"{self.path}: cannot be read ({reason})") from problem
@@ -176,9 +176,9 @@ class Results:
         check_memory(self.path, read.values())
         variables = {}
         for name, one in read.items():
-            told = {key: text_of(one.attrs[key]) for key in TEXTS if key in one.attrs}
-            told |= {key: one.attrs[key] for key in NUMBERS if key in one.attrs}
-            variables[name] = (DATASETS[inside + name].dims, one[()], told)
+            attributes = {key: text_of(one.attrs[key]) for key in TEXTS if key in one.attrs}
+            attributes |= {key: one.attrs[key] for key in NUMBERS if key in one.attrs}
+            variables[name] = (DATASETS[inside + name].dims, one[()], attributes)
         return xr.decode_cf(xr.Dataset(variables), decode_times=False)
 
     def has(self, name: str) -> bool:
@@ -186,7 +186,7 @@ class Results:
         return name in self._file
 
     def value(self, name: str) -> NDArray[np.float64]:
-        """Return a dataset whole, as floats, e.g. chi of shape (point, replica)."""
+        """Return a whole dataset as floats, e.g. chi of shape (point, replica)."""
         return np.array(self._array(name), float)
 
     def unit(self, name: str) -> str:
@@ -195,18 +195,18 @@ class Results:
 
     @property
     def points(self) -> int:
-        """How many parameter points there are."""
+        """Number of parameter points."""
         return self._array("number").shape[0]
 
     @property
     def replicas(self) -> int:
-        """How many replicas each point has."""
+        """Number of replicas of each point."""
         return self._array("current1").shape[1]
 
     def axes(self) -> dict[str, tuple[NDArray[np.generic], dict[str, str]]] | None:
         """Return the values of each key that was scanned, the slowest first, and their attributes.
 
-        The points are all combinations. A file that does not say gives None.
+        The points are all combinations. None if the file has no grid.
         """
         if "scan" not in self.attributes:
             return None
@@ -216,8 +216,8 @@ class Results:
             axis = self._file["scan"][name]
             whole = name in self._file and self._file[name].dtype.kind == "i"
             values = axis[()].astype(int) if whole else axis[()]
-            told = {key: text_of(axis.attrs.get(key, "")) for key in ("units", "long_name")}
-            found[name] = (values, told)
+            attributes = {key: text_of(axis.attrs.get(key, "")) for key in ("units", "long_name")}
+            found[name] = (values, attributes)
         if math.prod(len(values) for values, _ in found.values()) != self.points:
             raise InputError(f"{self.path}: damaged: its points do not fill the grid of its scan")
         return found
@@ -232,27 +232,27 @@ class Results:
 
     @cached_property
     def asked(self) -> NDArray[np.bool_]:
-        """Which tasks were asked for, shape (point, replica): all, unless to a precision."""
+        """Which tasks were requested, shape (point, replica): all, unless to a precision."""
         if self.has("task_status"):
             return self.value("task_status") != NOT_ASKED
         return np.ones(self.done.shape, bool)
 
     @cached_property
     def two_states(self) -> NDArray[np.bool_]:
-        """Which points have replicas in two states, shape (point,): no mean is theirs."""
+        """Which points have replicas in two states, shape (point,): they have no mean."""
         if self.has("point_status"):
             return self.value("point_status") == TWO_STATES
         return np.zeros(self.points, bool)
 
     @property
     def remark(self) -> str:
-        """What a picture should say about a partial run; empty for a complete one."""
+        """Remark for pictures of a partial run; empty for a complete one."""
         if self.done[self.asked].all():
             return ""
         return f"partial run: {np.count_nonzero(self.done)} of {self.asked.sum()} tasks"
 
     def say_if_partial(self) -> None:
-        """Tell on standard error that the run is partial, if it is."""
+        """Print on standard error that the run is partial, if it is."""
         if self.remark and self.done.any():
             print(f"{self.path}: {self.remark}, drawn with what there is", file=sys.stderr)
 
@@ -262,9 +262,9 @@ class Results:
             raise InputError(f"{self.path}: no task is complete yet")
 
     def task(self, point: int | None, replica: int | None) -> tuple[int, int]:
-        """Return which task is meant, from 0, where points and replicas are given from 1.
+        """Return point and replica of a task, from 0; the arguments are from 1.
 
-        What is not given is the first for which there is a complete task.
+        An argument that is None is the first with a complete task.
         """
         self.need_tasks()
         if point is None:
@@ -294,7 +294,7 @@ class Results:
         return found
 
     def any_circuit(self, point: int) -> Circuit:
-        """Return the circuit of a point, whose urns and gates need not be alike."""
+        """Return the circuit of a point, whose urns and gates may be unequal."""
         self._check_task(point, 0)
         (threshold, other), (radius, beyond) = (
             [one.item() for one in np.ravel(self._of_point(name, point))]
@@ -338,13 +338,13 @@ class Results:
         return found
 
     def beyond_theory(self, point: int) -> bool:
-        """Tell whether a table has scatterers or unlike sides: theories of figures know neither."""
+        """Tell whether a table has scatterers or unequal sides: no theory of figures applies."""
         return bool(self.scatterers or self.any_circuit(point).unlike)
 
     def circuit(self, point: int, gate: Gate = WINDOW) -> Circuit:
         """Return the circuit of a point, with the paper's gate unless another is given.
 
-        Raises `InputError` if its urns or its gates are not alike.
+        Raises `InputError` if its urns or its gates are unequal.
         """
         found = self.any_circuit(point)
         if found.unlike:
@@ -355,26 +355,26 @@ class Results:
         return replace(found.sides[0], gate=gate)
 
     def _of_point(self, name: str, point: int) -> object:
-        """Return what a point has of its own."""
+        """Return the value of a dataset or attribute at a point."""
         return self._array(name)[point]
 
     def _array(self, name: str) -> h5py.Dataset | NDArray[np.generic]:
-        """Return a dataset: read whole, and once, unless it is large."""
-        if name not in self._kept:
+        """Return a dataset: read once, and as a whole, unless it is large."""
+        if name not in self._arrays:
             if name not in self._file:
                 raise InputError(f"{self.path}: has no {name}")
             dataset = self._file[name]
             if dataset.nbytes > KEPT:
                 return dataset
-            self._kept[name] = dataset[()]
-        return self._kept[name]
+            self._arrays[name] = dataset[()]
+        return self._arrays[name]
 
     def replica_mean(self, name: str) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return mean and standard error over the replicas of each point, shape (point,).
 
-        The error is what the spread of the replicas says. Few of them may agree by chance: up to
-        `FEW` it is no less than what their own errors say (`NAME_error`), and of one replica it is
-        its own, NaN if that is not known. NaN where replicas fall into two states.
+        The error is from the scatter of the replicas. Few of them may agree by chance: up to `FEW`
+        it is at least that of their own errors (`NAME_error`), and for one replica it is its own,
+        NaN if that is not known. NaN if replicas are in two states.
         """
         one_state = self.done & ~self.two_states[:, None]
         values = np.where(one_state, self.value(name), math.nan)
@@ -384,7 +384,7 @@ class Results:
     def net_current(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return net current and its standard error over the replicas of each point.
 
-        It has a sign, so that homogeneous states scatter about 0. A polarised state has either
+        It has a sign, so that homogeneous states scatter about 0. A polarised state may have either
         polarity: its current is counted along it, `polarised_current`.
         """
         current, error = self.replica_mean("current1")
@@ -395,10 +395,10 @@ class Results:
         return np.where(polarised, along, current), np.where(polarised, along_error, error)
 
     def polarised_current(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return net current along the polarity of the moment, and its error, of each point.
+        """Return net current along the instantaneous polarity, and its error, of each point.
 
-        So reversals of the polarity do not cancel it. Of a file that does not have it, that of
-        channel 1 by its size in each replica; of a single urn, its current.
+        So reversals of the polarity do not cancel it. For a file without it, the absolute current
+        of channel 1 in each replica; for a single urn, its current.
         """
         if self.shape != "circuit":
             return self.replica_mean("current1")
@@ -411,7 +411,7 @@ class Results:
     def series(self, point: int, replica: int) -> Series:
         """Return the series of a task, from the first interval on.
 
-        Raises `InputError` if none was asked for.
+        Raises `InputError` if none was requested.
         """
         if "series/time" not in self._file:
             raise InputError(f"{self.path}: has no series (set series_interval in &output)")
@@ -427,8 +427,8 @@ class Results:
         there &= time > 0.0  # the entry at the start has no interval before it
         if not there.any():
             raise InputError(f"{self.path}: the series of point {point + 1} is empty")
-        kept = {name: flow[there] for name, flow in flows.items()}
-        return Series(time[there], number[there], kept)
+        rates = {name: flow[there] for name, flow in flows.items()}
+        return Series(time[there], number[there], rates)
 
     def snapshot_times(self) -> NDArray[np.float64]:
         """Return the times of the snapshots; raise `InputError` if there are none."""
@@ -446,7 +446,7 @@ class Results:
         return self._snapshots(point, replica, slice(index, index + 1))[0]
 
     def snapshots(self, point: int, replica: int) -> list[Snapshot]:
-        """Return all snapshots of a task; of a file with thousands, much sooner than one by one."""
+        """Return all snapshots of a task; for thousands much faster than one by one."""
         self._check_task(point, replica)
         return self._snapshots(point, replica, slice(None))
 

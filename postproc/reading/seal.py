@@ -1,7 +1,7 @@
 """The seal of a results file: its last 512 bytes, with the digest of all bytes before them.
 
-The program writes it (`src/store/checksum_footer.f90`), and it is right if it is the very text that
-the bytes before it ask for. HDF5 passes over it, since it lies behind what HDF5 takes for the end.
+The program writes it (`src/store/checksum_footer.f90`). It is valid if it is exactly the text that
+follows from the bytes before it. HDF5 ignores it, since it is behind the end of the HDF5 data.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ FIRST_LINE = "battery results 1"
 REMARK = "Before these 512 bytes is HDF5; head -c -512 FILE | sha256sum gives the digits above."
 MARK = b"initial_file_fingerprint"  # near the beginning of every file of the program
 PIECE = 2**20  # bytes that are read at once
-END = slice(40, 48)  # where HDF5's superblock says how long the file is
+END = slice(40, 48)  # length of the file in HDF5's superblock
 
 
 def seal_of(count: int, digits: str) -> bytes:
@@ -29,7 +29,7 @@ def seal_of(count: int, digits: str) -> bytes:
 
 
 def check_seal(path: Path) -> None:
-    """Raise `InputError` unless the file is whole; an `OSError` says that it cannot be read."""
+    """Raise `InputError` unless the file is intact, and `OSError` if it cannot be read."""
     digest, first = hashlib.sha256(), b""
     with path.open("rb") as file:
         left = content = max(path.stat().st_size - LENGTH, 0)

@@ -1,1 +1,1 @@
-"""What there is to say of runs: a page, warnings, comparisons with theories."""
+"""Reports about runs: a page, warnings, comparisons with theories."""

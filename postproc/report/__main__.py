@@ -1,7 +1,8 @@
 """Writes one self-contained HTML page about a run: warnings, maps, replicas, series, table.
 
-The page needs no network. Maps and curves show what is under the mouse in all of them at once; a
-click shows the replicas of that point, their series and its namelist; the table sorts.
+The page needs no network. Maps and curves show the values at the point under the mouse, in all of
+them at once; a click shows the replicas of that point, their series and its namelist; the table can
+be sorted.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ from postproc.figures.models import add_models, named
 from postproc.reading.results import Results
 from postproc.report.page import page
 
-DEFAULT = ("window", "renewal")  # the paper's, and the gate's own rule
+DEFAULT = ("window", "renewal")  # the paper's, and the exact rule of the gate
 
 
 def main(arguments: list[str] | None = None) -> int:

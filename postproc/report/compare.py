@@ -1,4 +1,4 @@
-"""How far theories are from runs."""
+"""Differences of theories from runs."""
 
 from __future__ import annotations
 
@@ -35,18 +35,18 @@ FLOWS = ("dense1", "sparse1", "dense2", "sparse2")
 
 @dataclass(frozen=True)
 class Comparison:
-    """How far a theory is from runs.
+    """Differences of a theory from runs.
 
     Attributes
     ----------
     theory : its name.
-    points : how many points were compared.
-    right_phase : share of them where homogeneous or polarised is told rightly.
+    points : number of compared points.
+    right_phase : share of them at which the theory has the right phase, homogeneous or polarised.
     chi : mean of |measured - expected chi| over polarised points.
     upper_chi : the same over those with T above that of the largest chi of their N, w and w'.
     current : root mean square of (theory - measured)/theory of the net current over them; for the
         single urn, of its current.
-    measured_chi : mean of the standard errors of chi there, the least to be hoped for.
+    measured_chi : mean of the standard errors of chi there, a lower bound of the difference.
     dense1, sparse1, dense2, sparse2 : measured flows over expected ones at the measured spread, of
         the dense and the sparse urn through channels 1 and 2, summed over polarised points.
     """
@@ -67,7 +67,7 @@ class Comparison:
 def expected_state(model: Model, circuit: Circuit, chi: float) -> tuple[float, float]:
     """Return chi and net current of a theory's stable state nearest to the measured chi.
 
-    NaN if it knows none.
+    NaN if it has none.
     """
     choices = [
         (state.mass_spread, state.net_current)
@@ -107,7 +107,7 @@ def flow_ratios(files: Sequence[Results], model: Model) -> dict[str, float]:
 
 
 def compare_circuit(files: Sequence[Results], model: Model) -> Comparison:
-    """Return how far one theory is from the circuits of all files."""
+    """Return the differences of one theory from the circuits of all files."""
     points = gather(files)
     known = points.where(np.isfinite(points.chi))
     if known.number.size == 0:
@@ -117,8 +117,8 @@ def compare_circuit(files: Sequence[Results], model: Model) -> Comparison:
         files[file].circuit(int(point))
         for file, point in zip(known.file, known.point, strict=True)
     ]
-    asked = list(zip(circuits, known.chi, strict=True))
-    expected = [expected_state(model, *one) for one in each(asked, f"{model.label}, point")]
+    cases = list(zip(circuits, known.chi, strict=True))
+    expected = [expected_state(model, *one) for one in each(cases, f"{model.label}, point")]
     chi, current = np.array(expected).T
     apart, both = np.abs(known.chi - chi), polarised & (current > 0.0)
     errors = known.chi_error[polarised]
@@ -150,7 +150,7 @@ def _upper(points: Points) -> NDArray[np.bool_]:
 
 
 def compare_urn(files: Sequence[Results], model: Model) -> Comparison:
-    """Return how far one theory is from the currents of the single urns of all files."""
+    """Return the differences of one theory from the currents of single urns of all files."""
     points = gather(files)
     known = points.where(np.isfinite(points.current))
     relative = []

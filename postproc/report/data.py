@@ -1,4 +1,4 @@
-"""What the page about a run shows, as columns: points of the scan, theory, replicas, series."""
+"""Data of the page about a run, as columns: points of the scan, theory, replicas, series."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     Floats = NDArray[np.float64]
     Columns = dict[str, NDArray[np.generic]]
 
-# The keys of points where a file does not say what was scanned.
+# The keys of points for a file without a grid.
 KEYS = (
     "number", "threshold", "channel1_width", "channel1_length", "channel2_width", "channel2_length",
 )  # fmt: skip
@@ -41,12 +41,12 @@ ROOM = 250_000  # samples of all series together
 
 @dataclass(frozen=True)
 class Scan:
-    """What was scanned.
+    """The scan of a run.
 
     Attributes
     ----------
-    keys : values at each point, by the name of the key, of those that have more than one.
-    across, up : the keys along the axes of the maps, "" for what is not there.
+    keys : values at each point, by the name of the key, for keys with more than one value.
+    across, up : the keys along the axes of the maps, "" for none.
     """
 
     keys: Columns
@@ -55,7 +55,7 @@ class Scan:
 
     @property
     def others(self) -> Columns:
-        """The keys that choose which map is shown."""
+        """The keys that select a map."""
         return {name: at for name, at in self.keys.items() if name not in (self.across, self.up)}
 
     def slices(self) -> Iterator[tuple[dict[str, object], NDArray[np.int_]]]:
@@ -70,7 +70,7 @@ class Scan:
 
 
 def scanned(results: Results) -> Scan:
-    """Return what was scanned; T goes across the maps and w' up, where they are in the scan."""
+    """Return the scan; T is the horizontal axis of maps and w' the vertical one, if scanned."""
     axes = results.axes()
     if axes is None:
         keys = {name: results.value(name) for name in KEYS}
@@ -85,19 +85,19 @@ def scanned(results: Results) -> Scan:
 
 
 def label(name: str) -> str:
-    """Return what axes and heads of columns call a key."""
+    """Return the label of a key on axes and heads of columns."""
     return f"{name} {SYMBOLS[name]}" if name in SYMBOLS else name
 
 
 def rounded(values: Floats) -> Floats:
-    """Return values to five digits: what is read from the page, and fewer bytes of it."""
+    """Return values rounded to five digits, which makes the page smaller."""
     return np.array([float(f"{value:.5g}") for value in np.ravel(values)])
 
 
 def points_of(results: Results, scan: Scan, models: dict[str, Model]) -> Columns:
     """Return the columns of the points: keys, measured values and errors, theory, their text."""
     points = gather([results])
-    done, asked = results.done.sum(axis=1), results.asked.sum(axis=1)
+    done, requested = results.done.sum(axis=1), results.asked.sum(axis=1)
     columns = {name: values if values.dtype.kind == "i" else rounded(values)
                for name, values in scan.keys.items()}  # fmt: skip
     columns |= {name: rounded(getattr(points, name))
@@ -107,8 +107,8 @@ def points_of(results: Results, scan: Scan, models: dict[str, Model]) -> Columns
                  for at in each(range(points.chi.size), f"{model.label}, point")]  # fmt: skip
         spread, current = np.array(found).T
         columns[f"{name}_chi"], columns[f"{name}_current"] = rounded(spread), rounded(current)
-    columns["told"] = np.array([_told(scan, columns, at) for at in range(points.chi.size)])
-    columns["tasks"] = np.array([f"{n} of {m}" for n, m in zip(done, asked, strict=True)])
+    columns["told"] = np.array([_summary(scan, columns, at) for at in range(points.chi.size)])
+    columns["tasks"] = np.array([f"{n} of {m}" for n, m in zip(done, requested, strict=True)])
     for low, high, key in (("left", "right", scan.across), ("bottom", "top", scan.up)):
         if key:
             values, at = np.unique(scan.keys[key], return_inverse=True)
@@ -130,8 +130,8 @@ def _expected(results: Results, model: Model, point: int, chi: float) -> tuple[f
     return expected_state(model, circuit, chi) if math.isfinite(chi) else (math.nan, math.nan)
 
 
-def _told(scan: Scan, columns: Columns, at: int) -> str:
-    """Return the line about a point: its keys and what was measured."""
+def _summary(scan: Scan, columns: Columns, at: int) -> str:
+    """Return the line about a point: its keys and measured values."""
     place = [f"{SYMBOLS.get(name, name)} = {columns[name][at]:.5g}" for name in scan.keys]
     found = [
         f"{name} {columns[name][at]:.4g} ± {columns[f'{name}_error'][at]:.1g}".replace(
@@ -146,9 +146,10 @@ def _told(scan: Scan, columns: Columns, at: int) -> str:
 
 
 def map_lines(results: Results, scan: Scan, models: dict[str, Model]) -> Columns:
-    """Return lines between a stable and an unstable homogeneous state, one row a line.
+    """Return lines between a stable and an unstable homogeneous state, one row for each line.
 
-    Over T and w' they are the theory's own; over other keys they run between points of the scan.
+    Over T and w' they are the theory's own lines; over other keys they lie between points of the
+    scan.
     """
     rows: list[dict[str, object]] = []
     drawn = results.shape == "circuit" and scan.up
@@ -215,7 +216,7 @@ def curves(columns: Columns, scan: Scan, models: dict[str, Model], name: str) ->
 def replicas_of(results: Results) -> Columns:
     """Return the columns of the tasks, replica by replica of each point, as texts.
 
-    What was measured has its error beside it: so the table is no wider than a telephone.
+    A value and its error are in one column, so that the table fits on a telephone.
     """
     done = results.done.ravel()
     current = "polarised_current" if results.has("polarised_current") else "current1"
@@ -242,28 +243,28 @@ def _with_error(value: float, error: float) -> str:
 def series_of(results: Results) -> tuple[Floats, Columns]:
     """Return times, and (N1 - N2)/N and net current of all tasks one after the other, thinned.
 
-    Nothing if the run kept no series. Where they are too many, the first replicas have theirs.
+    Nothing if the run has no series. If there are too many, only those of the first replicas.
     """
     if not results.has("series/time"):
         return np.empty(0), {}
     time = results.value("series/time")
     tasks = results.points * results.replicas
     samples = min(int(np.clip(ROOM // tasks, *SAMPLES)), time.size)
-    kept = np.unique(np.linspace(0, time.size - 1, samples).round().astype(int))
-    spread = np.full((results.points, results.replicas, kept.size), np.nan, np.float32)
+    chosen = np.unique(np.linspace(0, time.size - 1, samples).round().astype(int))
+    spread = np.full((results.points, results.replicas, chosen.size), np.nan, np.float32)
     current = spread.copy()
     for point, replica in np.argwhere(results.done)[: ROOM // samples]:
         one, number = results.series(int(point), int(replica)), results.value("number")[point]
         flows = one.flows["flow1_12"] - one.flows["flow1_21"]
-        past = np.searchsorted(one.time, time[kept], side="left")
+        past = np.searchsorted(one.time, time[chosen], side="left")
         past = np.minimum(past, one.time.size - 1)
-        reached = time[kept] <= one.time[-1]
+        reached = time[chosen] <= one.time[-1]
         spread[point, replica] = np.where(
             reached, 2.0 * one.urn1_number[past] / number - 1.0, np.nan
         )
         means = _block_means(flows, past)
         current[point, replica] = np.where(reached, means, np.nan)
-    return rounded(time[kept]), {"spread": spread.ravel(), "current": current.ravel()}
+    return rounded(time[chosen]), {"spread": spread.ravel(), "current": current.ravel()}
 
 
 def _block_means(values: Floats, ends: Sequence[int]) -> Floats:
@@ -279,7 +280,7 @@ def namelist_of_point(results: Results, scan: Scan) -> str:
     text = results.attributes["namelist"]
     try:
         groups = f90nml.reads(text)
-    except Exception:  # the program reads more than this reader: then all of it
+    except Exception:  # the program accepts more than this reader: then the whole text
         return text
     group = groups.get("scan", {})
     for key in list(group):

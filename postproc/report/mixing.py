@@ -1,4 +1,4 @@
-"""How badly urns mix, and how long their chain would last if it mixed as badly."""
+"""Imperfect mixing of urns, and its effect on the lifetimes of their chain."""
 
 from __future__ import annotations
 
@@ -27,17 +27,17 @@ if TYPE_CHECKING:
 
 FACTOR = 0.9  # of the sparse urn's outflow in the changed chain
 OUTFLOWS = ("dense1", "sparse1", "dense2", "sparse2")
-LEAST = 50.0  # crossings below which neither ratio nor scatter is given
+LEAST = 50.0  # least number of crossings for a ratio and a scatter
 
 
 @dataclass(frozen=True)
 class Counts:
-    """Crossings out of the dense and the sparse urn in intervals of series, a row an outflow.
+    """Crossings out of the dense and the sparse urn in intervals of series, a row for each outflow.
 
     Attributes
     ----------
-    measured, expected : shape (4, interval), in the order of `OUTFLOWS`; what was counted, and
-        what well mixed urns would send, by the means of both ends of an interval.
+    measured, expected : shape (4, interval), in the order of `OUTFLOWS`; counts, and those of well
+        mixed urns, by the means of both ends of an interval.
     """
 
     measured: Floats
@@ -58,13 +58,13 @@ class Counts:
 
 @dataclass(frozen=True)
 class Mixing:
-    """What was measured at a point, and what the chains say.
+    """Measurements at a point, and the lifetimes of the chains.
 
     Attributes
     ----------
-    intervals : how many intervals of the series were taken.
+    intervals : number of intervals of the series.
     ratio, scatter : of `Counts`, by name of the outflow.
-    lifetime : the polarised state's, as measured, with its circuit.
+    lifetime : measured lifetime of the polarised state, with its circuit.
     chain : the polarised state's lifetime by the chain.
     chain_less : the same with the sparse urn's outflow times `FACTOR`.
     chain_measured : the same with the measured ratios of the sparse urn's two outflows instead.
@@ -79,7 +79,7 @@ class Mixing:
     chain_measured: float
 
     def removed(self, changed: float) -> float:
-        """Return the share of log(chain/measured) that a change of the chain takes away.
+        """Return the share of log(chain/measured) that a change of the chain removes.
 
         NaN if no run has left the state, or the chain is off by less than a factor of two.
         """
@@ -91,7 +91,7 @@ class Mixing:
         return 1.0 - math.log(changed / self.lifetime.time) / before
 
     def row(self) -> dict[str, object]:
-        """Return what is printed as JSON."""
+        """Return the values for JSON."""
         circuit = self.lifetime.circuit
         return {
             "threshold": int(circuit.threshold),
@@ -111,11 +111,11 @@ class Mixing:
 
 
 def _shares(circuit: Circuit, halves: Floats) -> Floats:
-    """Return the urns' shares of the particles (`Circuit`) where those of the halves are given."""
+    """Return the urns' shares of the particles (`Circuit`) from those of the halves."""
     if not circuit.occupation:
         return halves
-    everyone = np.arange(int(circuit.number) + 1.0)
-    return np.interp(halves, half2_number(circuit, everyone), everyone)
+    numbers = np.arange(int(circuit.number) + 1.0)
+    return np.interp(halves, half2_number(circuit, numbers), numbers)
 
 
 def polarised_counts(circuit: Circuit, series: Series) -> Counts:
@@ -141,7 +141,7 @@ def polarised_counts(circuit: Circuit, series: Series) -> Counts:
 
 
 def mixing(files: Sequence[Results], changes: dict[str, object]) -> list[Mixing]:
-    """Return what was measured at each point that begins polarised, beside one theory."""
+    """Return the measurements at each point that begins polarised, with one theory."""
     found = []
     for results in files:
         lifetimes = {one.circuit: one for one in measured([results]) if one.polarised}
@@ -172,7 +172,7 @@ def mixing(files: Sequence[Results], changes: dict[str, object]) -> list[Mixing]
 
 
 def table(found: Sequence[Mixing]) -> str:
-    """Return what was measured as text, a line a point."""
+    """Return the measurements as text, a line for each point."""
     lines = [
         f"{'':21s} {'flow over well mixed':>27s} {'Fano factor':>20s} "
         f"{'lifetime of the polarised state':>41s} {'log removed':>15s}",

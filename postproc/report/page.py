@@ -54,16 +54,16 @@ if TYPE_CHECKING:
     Floats = NDArray[np.float64]
 
 HERE = Path(__file__).parent
-# The library says on the console that it will be silent; so said, it does not.
+# At this level the library prints no message on the console.
 SILENT = ('Bokeh.set_log_level("warn")', 'Bokeh.logger.set_level("warn")')
-SCRIPTS = "SCRIPTS-OF-THE-PAGE"  # stands in the template where their digests go
+SCRIPTS = "SCRIPTS-OF-THE-PAGE"  # placeholder in the template for their digests
 IDLE = "Put the mouse on a point; click one to see its replicas."
 PALETTES = {"chi": "Viridis256", "current": "Inferno256"}
 ERRORS = "Cividis256"
 KEPT = ("version", "git_commit", "created", "status", "mpi_ranks", "mpi_library", "compiler")
 KNOWN = "Theory: the stable state nearest to what was measured."
 UNKNOWN = "Theories beside it would be of equal urns and gates, without scatterers: none is shown."
-DOTS = 110  # an inch, of the picture of the table
+DOTS = 110  # per inch, in the picture of the table
 HOVERED = """
 const [at] = cb_data.index.indices
 reading.text = at === undefined ? idle : points.data.told[at]
@@ -137,7 +137,7 @@ class Page:
         self.measured = [name for name in data.MEASURED if np.isfinite(self.columns[name]).any()]
 
     def panels(self) -> list[figure]:
-        """Return the maps of a scan, or its curves; none of a single point."""
+        """Return the maps of a scan, or its curves; none for a single point."""
         if self.scan.up:
             made = [self._map(name, error) for error in ("", "_error") for name in self.measured]
         elif self.scan.across:
@@ -220,7 +220,7 @@ class Page:
         return made
 
     def choices(self) -> list[Select]:
-        """Return what chooses the values of the keys that are on no axis."""
+        """Return the selectors of the keys that are on no axis."""
         made = []
         for name in self.scan.others:
             options = [str(one) for one in np.unique(self.columns[name])]
@@ -248,12 +248,12 @@ class Page:
         return _table("points", self.points, heads, rows=min(self.results.points, 16))
 
     def detail(self) -> list[BokehModel]:
-        """Return what a click fills: a line, a table of the replicas, their series, a namelist."""
-        told = data.replicas_of(self.results)
-        tasks = ColumnDataSource(told)
+        """Return the parts that a click fills: a line, the replicas, their series, a namelist."""
+        replicas = data.replicas_of(self.results)
+        tasks = ColumnDataSource(replicas)
         time, columns = data.series_of(self.results)
         rows, count = IndexFilter([]), self.results.replicas
-        table = _table("replicas", tasks, {name: name for name in told}, rows=min(count, 8),
+        table = _table("replicas", tasks, {name: name for name in replicas}, rows=min(count, 8),
                        widths=WIDTHS, view=CDSView(filter=rows))  # fmt: skip
         shown = ColumnDataSource({key: [] for key in (*SERIES, "time", "colour", "replica")})
         name, namelist = Div(name="name", render_as_text=True), PreText(name="namelist")
@@ -286,7 +286,7 @@ class Page:
 
 
 WIDTH_OF_NUMBER, WIDTH_OF_LETTER = 84, 7  # pixels, in a table
-# Of the replicas, in all what a telephone has beside margins.
+# Widths of the table of replicas: the sum fits on a telephone.
 WIDTHS = {"replica": 48, "chi": 94, "current": 98, "collisions": 62, "seconds": 54}
 INKED = ("axis_label_text", "major_label_text", "axis_line", "major_tick_line", "minor_tick_line")
 SERIES = {"spread": "(N1 - N2)/N", "current": "net current of channel 1"}
@@ -297,7 +297,7 @@ def _table(
     widths: dict[str, int] | None = None, **more: object,
 ) -> DataTable:  # fmt: skip
     """Return a table; columns whose `widths` are given hold texts, which do not sort as numbers."""
-    # A head that is cut says nothing: columns share the width by the lengths of theirs.
+    # Columns share the width by the lengths of their heads, so that no head is truncated.
     wide = widths or {key: max(WIDTH_OF_NUMBER, WIDTH_OF_LETTER * len(title) + 16)
                       for key, title in heads.items()}  # fmt: skip
     columns = [TableColumn(field=key, title=html.escape(title), width=wide[key],
@@ -319,7 +319,7 @@ def _table(
 
 
 def themed(figures: list[figure]) -> CustomJS:
-    """Return what gives figures, which are drawn on canvas, the colours of the page's theme."""
+    """Return a script that gives figures, drawn on canvas, the colours of the page's theme."""
     inks, papers = [], []
     for one in figures:
         papers += [[one, "background_fill_color"], [one, "border_fill_color"]]
@@ -345,13 +345,13 @@ def _run(results: Results) -> dict[str, str]:
     known, done = results.attributes, results.done
     collisions = np.nansum(np.where(done, results.value("collisions"), 0.0))
     seconds = np.nansum(np.where(done, results.value("cpu_seconds"), 0.0))
-    told = {name.replace("_", " "): known[name] for name in KEPT if name in known}
-    told["tasks"] = f"{np.count_nonzero(done)} of {results.asked.sum()} complete"
-    told["wall collisions"] = f"{collisions:.4g}"
-    told["processor time"] = f"{seconds:.4g} s"
+    rows = {name.replace("_", " "): known[name] for name in KEPT if name in known}
+    rows["tasks"] = f"{np.count_nonzero(done)} of {results.asked.sum()} complete"
+    rows["wall collisions"] = f"{collisions:.4g}"
+    rows["processor time"] = f"{seconds:.4g} s"
     if seconds > 0.0:
-        told["speed"] = f"{collisions / seconds:.3g} collisions a second, one core"
-    return told
+        rows["speed"] = f"{collisions / seconds:.3g} collisions a second, one core"
+    return rows
 
 
 def _lines(scan: Scan, models: dict[str, Model]) -> str:
@@ -372,7 +372,7 @@ def _picture(circuit: Circuit) -> str:
 
 
 def page(results: Results, models: dict[str, Model]) -> str:
-    """Return the whole page, with theories by name; without them where none knows the tables."""
+    """Return the whole page, with theories by name; without them if none applies to the table."""
     results.need_tasks()
     if all(map(results.beyond_theory, range(results.points))):
         models = {}
@@ -410,9 +410,9 @@ def page(results: Results, models: dict[str, Model]) -> str:
 
 
 def _guarded(text: str) -> str:
-    """Return a page whose own scripts run, by their digests, and nothing else that is in it.
+    """Return a page in which only its own scripts run, by their digests.
 
-    They stand before and behind the contents, where no text of the results is.
+    The scripts are before and after the contents, where there is no text of the results.
     """
     before, behind = text.partition("<main>")[0], text.rpartition("</main>")[2]
     scripts = [one for part in (before, behind)

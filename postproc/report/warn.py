@@ -1,8 +1,8 @@
-"""What a careful reader would object to in a run, and what only looks strange.
+"""Warnings about a run, and explanations of surprising results.
 
-Warnings are for what is wrong: tasks that lack results, transients that are too short, replicas
-that disagree, currents that neither memory of the urns nor chance accounts for. Explanations are
-for what is as it should be and surprises nevertheless; one for all points that it is about.
+Warnings are about errors: tasks without results, transients that are too short, replicas that
+disagree, currents that neither memory of the urns nor chance explains. Explanations are about
+results that are right but surprising; there is one for all points concerned.
 """
 
 from __future__ import annotations
@@ -24,17 +24,17 @@ if TYPE_CHECKING:
 
     Floats = NDArray[np.float64]
 
-UNLIKELY = 1e-4  # probability below which chance is not believed
+UNLIKELY = 1e-4  # probability below which a difference is not taken for chance
 DRIFT = 5.0  # standard errors between two quarters of a series
-EXCESS = 0.05  # of the net current over what chi accounts for
+EXCESS = 0.05  # of the net current over the one that chi explains
 CIRCULATION = 0.06  # of the net current, at T = 7 and w' = 0.01 and less elsewhere
-SPREAD = 0.3  # chi from which on a current is held against it: less scatters
+SPREAD = 0.3  # chi above which the current is compared: below, it scatters too much
 BLOCKS = 8
-FREEDOM = 3  # slowest components that the error of a run comes from
+FREEDOM = 3  # number of slowest components from which the error of a run is computed
 
 
 def disagreement(values: Floats, errors: Floats) -> float:
-    """Return the probability that replicas with these errors scatter as much by chance.
+    """Return the probability that replicas with these errors scatter that much by chance.
 
     Fisher's F of the variance of the replicas over the mean square of their errors, each of which
     has `FREEDOM` degrees of freedom.
@@ -62,7 +62,7 @@ def drifts(chi: Floats) -> bool:
 
 
 def axial(circuit: Circuit, snapshot: Snapshot) -> int:
-    """Return how many particles run so straight along the axis that they go round the circuit."""
+    """Return how many particles move so nearly along the axis that they circulate."""
     if circuit.channel2_width == 0.0:
         return 0
     half = 0.5 * circuit.channel2_width
@@ -73,9 +73,9 @@ def axial(circuit: Circuit, snapshot: Snapshot) -> int:
 
 
 def memory_factor(circuit: Circuit) -> float:
-    """Return by how much memory of the urns raises the net current at a spread, at most.
+    """Return the largest factor by which memory of the urns raises the net current at a chi.
 
-    What two ports conduct over what well mixed urns do; circulation along the axis adds
+    It is the conductance of two ports over that of well mixed urns; circulation along the axis adds
     `CIRCULATION`.
     """
     if float(circuit.channel2_width) == 0.0:
@@ -98,7 +98,7 @@ def warnings(results: Results) -> list[str]:
 
 
 def explanations(results: Results) -> list[str]:
-    """Return what is as it should be and surprises nevertheless, one sentence each."""
+    """Return explanations of right but surprising results, one sentence each."""
     found = []
     if results.two_states.any():
         found.append(
@@ -116,11 +116,11 @@ def explanations(results: Results) -> list[str]:
             "urn remembers by which opening a particle came, so fewer go back by channel 2 than "
             "chance has it, and some circulate along the axis."
         )
-    untold = _untold(results)
-    if untold:
+    without_error = _points_without_error(results)
+    if without_error:
         found.append(
-            f"At {untold} of {results.points} points an error is not known: one run is too short "
-            "to tell its own there. Replicas tell."
+            f"At {without_error} of {results.points} points an error is not known: one run is "
+            "too short to tell its own there. Replicas tell."
         )
     counts = [_axial_of(results, point) for point in range(results.points)]
     if any(counts):
@@ -131,13 +131,13 @@ def explanations(results: Results) -> list[str]:
     return found
 
 
-def _untold(results: Results) -> int:
-    """Return at how many points chi or the current has a mean and no error."""
+def _points_without_error(results: Results) -> int:
+    """Return the number of points at which chi or the current has a mean and no error."""
     pairs = [results.net_current()]
     if results.shape == "circuit":
         pairs.append(results.replica_mean("chi"))
-    untold = [np.isfinite(mean) & np.isnan(error) for mean, error in pairs]
-    return int(np.count_nonzero(np.any(untold, axis=0)))
+    without_error = [np.isfinite(mean) & np.isnan(error) for mean, error in pairs]
+    return int(np.count_nonzero(np.any(without_error, axis=0)))
 
 
 def _name(results: Results, point: int) -> str:
@@ -167,9 +167,9 @@ def _of_replicas(results: Results, point: int) -> list[str]:
 
 
 def _excess(results: Results, point: int) -> tuple[float, float]:
-    """Return by how much the net current exceeds what chi accounts for, relative, and its error.
+    """Return the relative excess of the net current over the one that chi explains, and its error.
 
-    What chi accounts for is the conductance of well mixed urns; -1 where nothing can be said.
+    The latter is from the conductance of well mixed urns; -1 if it is not known.
     """
     if results.shape != "circuit" or results.beyond_theory(point):
         return -1.0, 0.0
@@ -183,7 +183,7 @@ def _excess(results: Results, point: int) -> tuple[float, float]:
 
 
 def _of_current(results: Results, point: int) -> list[str]:
-    """Compare the net current with what chi and memory of the urns make flow."""
+    """Compare the net current with the one that chi and memory of the urns explain."""
     excess, error = _excess(results, point)
     if excess <= 0.0:
         return []
@@ -213,7 +213,7 @@ def _of_series(results: Results, point: int) -> list[str]:
 
 
 def _axial_of(results: Results, point: int) -> int:
-    """Return how many particles of the last snapshot run along the axis, 0 without snapshots."""
+    """Return how many particles of the last snapshot move along the axis, 0 without snapshots."""
     if not results.done[point].any() or results.shape != "circuit" or results.scatterers:
         return 0
     try:

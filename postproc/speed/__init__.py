@@ -1,1 +1,1 @@
-"""How fast the program is: tables, changes between builds, ensembles on many ranks."""
+"""Speed of the program: tables, changes between builds, ensembles on many ranks."""

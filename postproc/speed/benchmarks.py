@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from postproc.speed.changes import Run
 
 ROOT = Path(__file__).resolve().parents[2]
-MANY = 10_000_000  # particles of the run whose memory is looked at
+MANY = 10_000_000  # particles of the run whose memory is measured
 MANY_COLLISIONS = 1_000_000_000
 COUNTED = (20_000_000, 80_000_000)  # collisions of the two runs whose instructions are counted
 
@@ -33,7 +33,7 @@ def _spoken(command: Sequence[str], problem: str) -> cli.InputError:
 
 
 def peak_memory(program: Path, number: int = MANY, collisions: int = MANY_COLLISIONS) -> float:
-    """Return the bytes a particle at the peak of a run of its own."""
+    """Return the peak memory of a run in bytes for each particle."""
     threshold = 7 * number // 1000
     command = [str(program), "memory", "excursion"]
     command += [str(word) for word in (number, threshold, 0.3, 0.01, collisions)]
@@ -45,7 +45,7 @@ def peak_memory(program: Path, number: int = MANY, collisions: int = MANY_COLLIS
 
 
 def count_instructions(program: Path, valgrind: str, lengths: tuple[int, int] = COUNTED) -> float:
-    """Return the instructions of a wall collision, from two runs that differ in length alone."""
+    """Return the instructions of a wall collision, from two runs that differ only in length."""
     with tempfile.TemporaryDirectory() as folder:
         commands = [
             [
@@ -61,9 +61,9 @@ def count_instructions(program: Path, valgrind: str, lengths: tuple[int, int] = 
             )
             for command in commands
         ]
-        said = [run.communicate() for run in runs]
+        outputs = [run.communicate() for run in runs]
     seen = []
-    for command, run, (printed, complained) in zip(commands, runs, said, strict=True):
+    for command, run, (printed, complained) in zip(commands, runs, outputs, strict=True):
         collected = re.search(r"Collected\s*:\s*(\d+)", complained)
         if run.returncode or collected is None or not printed.strip().isdigit():
             raise _spoken(command, complained[-300:])
@@ -73,7 +73,7 @@ def count_instructions(program: Path, valgrind: str, lengths: tuple[int, int] = 
 
 
 def run(program: Path, counted: Path, output: Path, console: Console) -> None:
-    """Run all benchmarks, print and write them."""
+    """Run all benchmarks, print and write the results."""
     if not program.exists():
         raise cli.InputError(f"{program}: no such program (make bench builds it)")
     cli.output_folder(output.parent)
@@ -102,7 +102,7 @@ def run(program: Path, counted: Path, output: Path, console: Console) -> None:
 
 
 def said(name: str, one: Run) -> str:
-    """Return which program a file's figures are of, and from when."""
+    """Return the program and the date of the figures in a file."""
     return f"{name}: " + ", ".join(
         str(one.about.get(key, "unknown")) for key in ("date", "processor", "commit")
     )

@@ -1,4 +1,4 @@
-"""Figures of a benchmark: the rows of its tables, and what must be reached, beside the bounds."""
+"""Figures of a benchmark: the rows of its tables, and the required figures with their bounds."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ RATES = {
     "visits": "visits_per_second",
     "time": "particle_time_per_second",
 }
-# which cost a table is about
+# the cost that a table measures
 SUBJECTS = {
     "engines": "collisions",
     "number": "time",
@@ -37,16 +37,16 @@ MAP_POINTS, MAP_COLLISIONS = 25 * 25, 1e8
 
 @dataclass(frozen=True)
 class Figure:
-    """A figure that must be reached.
+    """A required figure.
 
     Attributes
     ----------
-    name : what it is.
-    values : what was seen, one value a round; empty if it could not be measured.
-    bound : what it must be at least, or at most.
+    name : its description.
+    values : measured values, one for each round; empty if it could not be measured.
+    bound : lower or upper bound.
     at_least : whether larger is better.
-    aim : what is hoped for beyond the bound.
-    note : why there is no value, or how it was found.
+    aim : aim beyond the bound.
+    note : why there is no value, or how it was measured.
     """
 
     name: str
@@ -58,7 +58,7 @@ class Figure:
 
     @property
     def reached(self) -> bool | None:
-        """Tell whether the median keeps to the bound; None if there is none."""
+        """Tell whether the median is within the bound; None if there is none."""
         if not self.values:
             return None
         median = statistics.median(self.values)
@@ -80,7 +80,7 @@ class Rows:
             self._first.setdefault(row["table"], key)
 
     def __iter__(self) -> Iterator[Key]:
-        """Go through the keys: table, engine, number, threshold, widths."""
+        """Iterate over the keys: table, engine, number, threshold, widths."""
         return iter(self._rows)
 
     def __contains__(self, key: Key) -> bool:
@@ -88,11 +88,11 @@ class Rows:
         return key in self._rows
 
     def rates(self, key: Key, rate: str) -> tuple[float, ...]:
-        """Return a rate (of `RATES`) of a row, one value a round."""
+        """Return a rate (of `RATES`) of a row, one value for each round."""
         return tuple(self._rows[key][RATES[rate]])
 
     def costs(self, key: Key, reference: Key | None = None) -> tuple[float, ...]:
-        """Return what the table is about, relative to its first or another row, a value a round."""
+        """Return the cost of a row relative to the first or another row, a value for each round."""
         rate = SUBJECTS.get(key[0], "collisions")
         base = self.rates(reference or self._first[key[0]], rate)
         return tuple(one / other for one, other in zip(base, self.rates(key, rate), strict=True))
@@ -123,12 +123,12 @@ def _same(one: Any, other: Any) -> bool:  # noqa: ANN401 (strings and numbers)
 def figures(
     rows: Rows, memory: Sequence[float], instructions: Sequence[float], no_count: str = ""
 ) -> list[Figure]:
-    """Return what must be reached.
+    """Return the required figures.
 
     Parameters
     ----------
     rows : all tables.
-    memory : bytes a particle at the peak of a run of 1e7.
+    memory : peak memory of a run of 1e7 particles, in bytes for each.
     instructions : those of a wall collision; empty if they were not counted.
     no_count : why they were not.
     """
@@ -163,7 +163,7 @@ def figures(
 
 
 def value_text(value: float) -> str:
-    """Return a figure as the tables show it."""
+    """Return a figure as text for the tables."""
     return f"{value:.2e}".replace("e+0", "e") if abs(value) >= 1e4 else f"{value:.4g}"
 
 

@@ -1,4 +1,4 @@
-"""What changed between two runs of the benchmarks: files read, ratios with their spread."""
+"""Changes between two runs of the benchmarks: files, and ratios with their spread."""
 
 from __future__ import annotations
 
@@ -34,13 +34,13 @@ def parsed(path: Path) -> dict[str, Any]:
     return found
 
 
-# A figure that is taken once (memory, instructions) has no spread; less than this is not a change.
+# A figure measured once (memory, instructions) has no spread; a smaller difference is no change.
 LEAST = 1e-3
 
 
 @dataclass(frozen=True)
 class Run:
-    """What a file of `run` holds."""
+    """Contents of a file of `run`."""
 
     path: Path
     about: dict[str, Any]
@@ -85,7 +85,7 @@ class Change:
 
     @property
     def mark(self) -> str:
-        """Return 'better' or 'worse' if the whole range is off 1, else nothing."""
+        """Return 'better' or 'worse' if the range excludes 1, else nothing."""
         if self.least <= 1.0 + LEAST and self.most >= 1.0 - LEAST:
             return ""
         return "better" if (self.ratio > 1.0) == self.more_is_better else "worse"
@@ -107,7 +107,7 @@ def name_of(key: Key) -> str:
 
 
 def changes(old: Run, new: Run) -> list[tuple[str, list[Change]]]:
-    """Return what changed: the figures, the rate of each row, its cost over the table's first."""
+    """Return the changes of the figures, and of the rate and the relative cost of each row."""
     pairs = [
         (one, new.figures[name])
         for name, one in old.figures.items()

@@ -1,4 +1,4 @@
-"""What a machine showed over time: the medians of several runs of the benchmarks, side by side."""
+"""History of a machine: the medians of several runs of the benchmarks, side by side."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
     from postproc.speed.changes import Run
 
-SHOWN = 5  # the last so many runs fit in a line
+SHOWN = 5  # number of the last runs that fit in a line
 
 
 def kept(folder: Path) -> list[Run]:
@@ -30,7 +30,7 @@ def kept(folder: Path) -> list[Run]:
 
 
 def lines_of(runs: Sequence[Run]) -> Iterator[tuple[str, list[float | None]]]:
-    """Give each figure and each row that any run has: its name, and its median in each run."""
+    """Yield each figure and each row of any run: its name, and its median in each run."""
     names = dict.fromkeys(name for run in runs for name in run.figures)
     for name in names:
         values = [run.figures[name].values if name in run.figures else () for run in runs]
@@ -47,9 +47,9 @@ def lines_of(runs: Sequence[Run]) -> Iterator[tuple[str, list[float | None]]]:
 
 
 def history(runs: Sequence[Run]) -> tuple[list[str], Table]:
-    """Return which runs there are, a line each, and the medians of the last of them."""
+    """Return a line for each run, and the medians of the last runs."""
     about = ("date", "processor", "commit")
-    said = [
+    descriptions = [
         f"{number}: " + ", ".join(str(run.about.get(key, "unknown")) for key in about)
         for number, run in enumerate(runs, 1)
     ]
@@ -63,4 +63,4 @@ def history(runs: Sequence[Run]) -> tuple[list[str], Table]:
         table.add_column(str(number + 1), justify="right", no_wrap=True)
     for name, values in lines_of(runs[first:]):
         table.add_row(name, *("" if one is None else value_text(one) for one in values))
-    return said, table
+    return descriptions, table

@@ -33,7 +33,7 @@ POINTS: dict[str, tuple[str, ...]] = {
 
 @dataclass(frozen=True)
 class Ratio:
-    """Processor time of one program over that of another, a value a pair of runs."""
+    """Processor time of one program over that of another, a value for each pair of runs."""
 
     name: str
     values: tuple[float, ...]
@@ -58,7 +58,7 @@ def ratio(name: str, old: Path, new: Path, rounds: int) -> Ratio:
     """Return how many times as fast `new` is as `old` at a point of `POINTS`, in pairs of runs."""
     values = []
     for turn in range(rounds):
-        # Who comes first changes, so that neither always finds the machine as the other left it.
+        # The order alternates, so that neither always runs after the other.
         pair = (old, new) if turn % 2 == 0 else (new, old)
         spent = {program: processor_seconds(program, POINTS[name]) for program in pair}
         values.append(spent[old] / spent[new])

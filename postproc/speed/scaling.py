@@ -1,4 +1,4 @@
-"""How an ensemble uses several ranks: speed-up, cost of a task beside its work, cost of a rank."""
+"""Efficiency of several ranks: speed-up, overhead of a task, cost of a rank."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ ENVIRONMENT = {**os.environ, **LAUNCHER}
 
 @dataclass(frozen=True)
 class Cost:
-    """What one run took: wall seconds, processor seconds of all ranks, memory of a rank in MB."""
+    """Cost of one run: wall seconds, processor seconds of all ranks, memory of a rank in MB."""
 
     wall: float
     processor: float
@@ -71,8 +71,8 @@ def run(program: Path, text: str, ranks: int, *, watch: bool = False) -> Cost:
     with tempfile.TemporaryDirectory() as folder:
         Path(folder, "scan.nml").write_text(text)
         command = [str(program), "--quiet", "scan.nml"]
-        # One rank is started by mpirun, too: starting takes its time. Ranks bound to a processor
-        # could not step aside for what else runs there.
+        # One rank is started by mpirun as well, since starting takes time. Ranks are not bound to a
+        # processor, so that they can avoid one on which another process runs.
         command = ["mpirun", "--bind-to", "none", "-n", str(ranks), *command]
         before = resource.getrusage(resource.RUSAGE_CHILDREN)
         began = time.perf_counter()
@@ -80,18 +80,18 @@ def run(program: Path, text: str, ranks: int, *, watch: bool = False) -> Cost:
             command, cwd=folder, env=ENVIRONMENT, stdout=subprocess.PIPE, stderr=subprocess.STDOUT
         )
         memory = _memory_of_ranks(process, program) if watch else [0.0]
-        said, _ = process.communicate()
+        output, _ = process.communicate()
         wall = time.perf_counter() - began
         after = resource.getrusage(resource.RUSAGE_CHILDREN)
         if process.returncode:
-            text = said.decode(errors="replace")[:600].strip()
+            text = output.decode(errors="replace")[:600].strip()
             raise cli.InputError(f"{' '.join(command)}: {text}")
     spent = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
     return Cost(wall, spent, max(memory, default=0.0))
 
 
 def _memory_of_ranks(process: subprocess.Popen[bytes], program: Path) -> list[float]:
-    """Watch a run until it ends; give the mean memory a rank (shared pages parted), in MB."""
+    """Watch a run until it ends; return the mean memory of a rank over time, in MB."""
     seen: list[float] = []
     name = program.resolve().name
 
@@ -132,7 +132,7 @@ def speedup(program: Path, ranks: int, points: int, collisions: int, rounds: int
     text = scan_text(points, collisions)
     found = []
     for turn in range(rounds):
-        # Who goes first changes from round to round.
+        # The order alternates from round to round.
         order = (1, ranks) if turn % 2 == 0 else (ranks, 1)
         costs = {n: run(program, text, n) for n in order}
         one, more = costs[1], costs[ranks]
@@ -156,7 +156,7 @@ def speedup(program: Path, ranks: int, points: int, collisions: int, rounds: int
 
 
 def overhead(program: Path, tasks: int, rounds: int) -> dict[str, Any]:
-    """Give what a task costs besides its work: many tasks against few, both with no work."""
+    """Return the overhead of a task: many tasks against few, both with hardly any work."""
     few = scan_text(1, 1000, number=100, threshold=3, replicas=1)
     many = scan_text(1, 1000, number=100, threshold=3, replicas=tasks + 1)
     wall, processor = [], []
@@ -173,7 +173,7 @@ def overhead(program: Path, tasks: int, rounds: int) -> dict[str, Any]:
 
 
 def many_ranks(program: Path, numbers: list[int], tasks: int) -> list[dict[str, Any]]:
-    """Run tasks of next to no work on more ranks than there are processors."""
+    """Run tasks with hardly any work on more ranks than there are processors."""
     rows = []
     for ranks in numbers:
         few = run(program, scan_text(1, 1000, number=100, threshold=3), ranks)

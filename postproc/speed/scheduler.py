@@ -1,4 +1,4 @@
-"""What an ensemble would do on many ranks: its way of sharing tasks, simulated event by event."""
+"""Simulation of an ensemble on many ranks: its scheduling of tasks, event by event."""
 
 from __future__ import annotations
 
@@ -16,9 +16,10 @@ if TYPE_CHECKING:
 
     Floats = NDArray[np.float64]
 
-# As in src/ensemble (a test compares those named there): operations on the board for one task and
-# for one look, bytes on the list for a task, seconds between two looks of a rank, the most looks a
-# second of all ranks, the share of the time that looks may take, and the longest time between two.
+# As in src/ensemble (a test compares those named there): operations on the task queue for one task
+# and for one query, bytes of the list for a task, seconds between two queries of a rank, the most
+# queries per second of all ranks, the share of the time for queries, and the longest time between
+# two.
 OPERATIONS_A_TASK = 5
 OPERATIONS_A_LOOK = 2
 BYTES_A_TASK = 8
@@ -32,12 +33,12 @@ ORDERS = ("longest", "random", "static")
 
 @dataclass(frozen=True)
 class Network:
-    """Seconds that an operation on the board takes.
+    """Seconds for an operation on the task queue.
 
     Attributes
     ----------
-    latency : on the way there and back.
-    service : at the board, where only one operation is served at a time.
+    latency : for the message to the queue and back.
+    service : at the queue, which serves only one operation at a time.
     """
 
     latency: float = 5.0e-6
@@ -46,18 +47,18 @@ class Network:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of a run.
+    """Outcome of a run.
 
     Attributes
     ----------
     seconds : from the start to the end of the last task.
     idle_share : share of all ranks' time not spent in tasks.
-    board_share : part of it spent at the board: on the way, waiting, and for looks.
-    end_share : part of it spent waiting for the last task after one's own last.
+    board_share : part of it spent for operations on the queue: latency, waiting, and queries.
+    end_share : part of it spent waiting for the last task of the run.
     busy_least : share of its time that the least busy rank spends in tasks.
-    board_load : share of the time that the board serves an operation.
+    board_load : share of the time in which the queue serves an operation.
     longest_wait : longest time a rank waits for its next task.
-    list_bytes : memory of the list of tasks, on rank 0 alone.
+    list_bytes : memory of the list of tasks, on rank 0 only.
     """
 
     seconds: float
@@ -82,26 +83,27 @@ def task_lengths(tasks: int, mean: float, spread: float, seed: int) -> Floats:
     return mean * np.exp(sigma * normal - 0.5 * sigma**2)
 
 
-def put_in_order(lengths: Floats, order: str, foresight: float, seed: int) -> Floats:
-    """Return the tasks as the list has them.
+def put_in_order(lengths: Floats, order: str, length_error: float, seed: int) -> Floats:
+    """Return the tasks in the order of the list.
 
     Parameters
     ----------
-    order : `longest`: by falling expected length; else as they are.
-    foresight : relative error (log-normal) of the expected lengths.
+    order : `longest`: by decreasing expected length; else unchanged.
+    length_error : relative error (log-normal) of the expected lengths.
     """
     if order != "longest":
         return lengths
-    expected = lengths * task_lengths(len(lengths), 1.0, foresight, seed + 1)
+    expected = lengths * task_lengths(len(lengths), 1.0, length_error, seed + 1)
     return lengths[np.argsort(-expected, kind="stable")]
 
 
 def simulate(lengths: Floats, ranks: int, network: Network) -> Outcome:
-    """Share the tasks, in this order, among the ranks; the board gives them out one by one."""
+    """Assign the tasks, in this order, to the ranks, one by one from the queue."""
     work, board_time, load = _slowed(lengths, ranks, network)
     service = OPERATIONS_A_TASK * network.service / max(1.0 - load, 1e-9)
     latency = OPERATIONS_A_TASK * network.latency
-    # (time at which a rank comes to the board, rank); the board is free again at `free`.
+    # (time at which a rank's request arrives at the queue, rank); the queue is free again at
+    # `free`.
     coming = [(0.0, rank) for rank in range(ranks)]
     spent = np.zeros(ranks)
     free = longest_wait = last = 0.0
@@ -134,7 +136,7 @@ def simulate(lengths: Floats, ranks: int, network: Network) -> Outcome:
 
 
 def _slowed(lengths: Floats, ranks: int, network: Network) -> tuple[Floats, float, float]:
-    """Return the lengths with the looks at the board, their time at the board, and their load."""
+    """Return the lengths with queries of the queue, the time of the queries, and their load."""
     cost = OPERATIONS_A_LOOK * (network.latency + network.service)
     interval = max(LOOK_INTERVAL, ranks / LOOKS_A_SECOND, cost / LOOK_SHARE)
     looks = np.floor(lengths / min(interval, LONGEST_INTERVAL))
@@ -144,7 +146,7 @@ def _slowed(lengths: Floats, ranks: int, network: Network) -> tuple[Floats, floa
 
 
 def simulate_static(lengths: Floats, ranks: int) -> Outcome:
-    """Deal the tasks out beforehand, equally many to each rank, as a shell loop does."""
+    """Assign the tasks beforehand, equally many to each rank, as a shell loop does."""
     shares = np.zeros(ranks)
     np.add.at(shares, np.arange(len(lengths)) % ranks, lengths)
     last = float(shares.max())
@@ -153,18 +155,18 @@ def simulate_static(lengths: Floats, ranks: int) -> Outcome:
 
 
 def run_order(
-    lengths: Floats, ranks: int, network: Network, order: str, foresight: float
+    lengths: Floats, ranks: int, network: Network, order: str, length_error: float
 ) -> Outcome:
-    """Share the tasks in one of the `ORDERS`."""
+    """Schedule the tasks in one of the `ORDERS`."""
     if order == "static":
         return simulate_static(lengths, ranks)
-    return simulate(put_in_order(lengths, order, foresight, 0), ranks, network)
+    return simulate(put_in_order(lengths, order, length_error, 0), ranks, network)
 
 
 def draw(
-    ranks: int, tasks: int, mean: float, spread: float, foresight: float, network: Network
+    ranks: int, tasks: int, mean: float, spread: float, length_error: float, network: Network
 ) -> Figure:
-    """Draw the idle share against tasks a rank, and against the mean length of a task."""
+    """Draw the idle share against tasks per rank, and against the mean length of a task."""
     made = style.figure(style.PAGE, 2.9)
     left, right = made.subplots(1, 2)
     labels = {
@@ -175,7 +177,7 @@ def draw(
     numbers = np.unique(np.geomspace(1, max(tasks // ranks, 2), 9).round().astype(int))
     for order, colour in zip(ORDERS, style.CYCLE, strict=False):
         shares = [
-            run_order(task_lengths(n * ranks, mean, spread, 1), ranks, network, order, foresight)
+            run_order(task_lengths(n * ranks, mean, spread, 1), ranks, network, order, length_error)
             for n in numbers.tolist()
         ]
         idle = [found.idle_share for found in shares]

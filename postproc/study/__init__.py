@@ -1,6 +1,6 @@
-"""A study: runs of the program and questions to its probes, kept in a folder, tables and pictures.
+"""A study: runs of the program and its probes, stored in a folder, tables and pictures.
 
-`Study` is what a script that answers a question uses; `main` is its command line.
+`Study` is used by the script of a study; `main` is its command line.
 """
 
 from postproc.study.study import Study, add_options, chosen_parts, main, study_of

@@ -1,7 +1,8 @@
-"""Questions to the probe `accuracy-realNN`, the physics in one precision; answers are kept.
+"""Runs of the probe `accuracy-realNN`, the physics in one precision; answers are stored.
 
-A question is a command line; its answer is JSON, one object a line, kept in `folder/probes`. It is
-asked again only if the question has changed. Numbers come as Decimals, with all their digits.
+A question is a command line of the probe; its answer is JSON, one object per line, stored in
+`folder/probes`. The probe runs again only if the question has changed. Numbers are read as
+Decimals, with all their digits.
 """
 
 from __future__ import annotations
@@ -33,10 +34,10 @@ class Question:
 
     Attributes
     ----------
-    name : the answer is `probes/NAME.jsonl`.
+    name : the answer is stored as `probes/NAME.jsonl`.
     precision : real32, real64 or real128.
     words : the words after the program's name.
-    patience : seconds after which it is given up.
+    patience : time limit in seconds.
     """
 
     name: str
@@ -46,7 +47,7 @@ class Question:
 
 
 def ask(study: Study, questions: Sequence[Question], *, exact: bool = True) -> list[Answer]:
-    """Ask all questions, as many at a time as the study has ranks; return the answers in order.
+    """Run the probe for all questions, on the ranks of the study; return the answers in order.
 
     exact : numbers with a point as Decimals, otherwise as floats.
     """
@@ -78,8 +79,8 @@ def _text(study: Study, question: Question) -> str:
         message = f"{question.name}: no answer within {question.patience:g} s"
         raise InputError(message) from problem
     if done.returncode:
-        said = (done.stderr or done.stdout).strip().splitlines() or ["nothing was said"]
-        raise InputError(f"{question.name}: exit {done.returncode}: {said[0]}")
+        lines = (done.stderr or done.stdout).strip().splitlines() or ["no output"]
+        raise InputError(f"{question.name}: exit {done.returncode}: {lines[0]}")
     text = f"{head}\n{done.stdout}"
     part = path.with_suffix(".part")
     part.write_text(text, encoding="utf-8")

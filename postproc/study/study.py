@@ -1,4 +1,4 @@
-"""The folder of a study: runs are resumed or replaced, numbers, tables and pictures are kept."""
+"""The folder of a study: runs are resumed or replaced, numbers, tables and pictures stored."""
 
 from __future__ import annotations
 
@@ -34,18 +34,18 @@ MPIRUN = ("env", *(f"{key}={value}" for key, value in LAUNCHER.items()), "mpirun
 
 @dataclass(frozen=True)
 class Study:
-    """Where and how runs are made, and where their results are kept.
+    """Folders and settings of a study.
 
     Attributes
     ----------
-    folder : everything made lands here: namelists, results, numbers, tables, pictures.
+    folder : folder of all output: namelists, results, numbers, tables, pictures.
     place : folder of the namelists.
-    full : long runs in place of quick ones.
+    full : long runs instead of quick ones.
     ranks : MPI ranks of an ensemble.
-    afresh : discard results that are there.
+    afresh : discard existing results.
     program : the program; None: that of `postproc.run`.
-    page : folder of the page that shows tables and pictures, to which they are copied, and what
-        their names begin with there; None: they stay in `folder` alone.
+    page : folder of the page to which tables and pictures are copied, and the prefix of their names
+        there; None: they are not copied.
     """
 
     folder: Path
@@ -57,7 +57,7 @@ class Study:
     page: tuple[Path, str] | None = None
 
     def pick(self, quick: float, full: float) -> float:
-        """Return the one or the other, as the study is quick or full."""
+        """Return `full` if the study is full, else `quick`."""
         return full if self.full else quick
 
     def run(
@@ -66,13 +66,13 @@ class Study:
     ) -> Path:  # fmt: skip
         """Run a namelist with some keys changed; return its results file, `folder/NAME.h5`.
 
-        The namelist is written to `folder/NAME.nml`. A run that is complete is not repeated, one
-        that was interrupted goes on; results of another input under that name are discarded.
+        The namelist is written to `folder/NAME.nml`. A complete run is not repeated, an interrupted
+        one is resumed; results of another input under that name are discarded.
 
         Parameters
         ----------
-        namelist : the name of a file of `place`, without its ending; or values by group and key.
-        name : of the run.
+        namelist : the name of a file of `place`, without its suffix; or values by group and key.
+        name : name of the run.
         changes : values by group and key; None removes a key.
         alone : without mpirun, for the short run of a single task.
         """
@@ -101,7 +101,7 @@ class Study:
             raise cli.InputError(f"{path}: exit {problem.code}: {problem}") from problem
 
     def theory(self, model: str, **keys: object) -> dict[str, object]:
-        """Return what `python -m postproc.theory` prints of a circuit, given by its options."""
+        """Return the output of `python -m postproc.theory` for a circuit, given by its options."""
         words = ["--model", model]
         for key, value in keys.items():
             values = value if isinstance(value, (list, tuple)) else [value]
@@ -120,7 +120,7 @@ class Study:
         return path
 
     def kept(self, name: str) -> dict[str, object] | None:
-        """Return numbers that were kept, None if there are none."""
+        """Return stored numbers, None if there are none."""
         path = self.folder / f"{name}.json"
         return json.loads(path.read_text(encoding="utf-8")) if path.exists() else None
 
@@ -184,7 +184,7 @@ def add_options(
 
 
 def chosen_parts(given: argparse.Namespace, parts: Sequence[str]) -> Sequence[str]:
-    """Return the parts that a command line names, all if none; an error names those there are."""
+    """Return the parts named on a command line, all if none; an error lists the parts."""
     wrong = [part for part in given.parts if part not in parts]
     if wrong:
         raise cli.InputError(f"there is no part {wrong[0]}; allowed: {' '.join(parts)}")
@@ -192,7 +192,7 @@ def chosen_parts(given: argparse.Namespace, parts: Sequence[str]) -> Sequence[st
 
 
 def study_of(given: argparse.Namespace, place: Path, page: tuple[Path, str]) -> Study:
-    """Return the study that is asked for on a command line with the options of `add_options`."""
+    """Return the study of a command line with the options of `add_options`."""
     folder = given.output or given.default_output / ("full" if given.full else "quick")
     program = running.find_program(given.program)
     shown = page if given.publish else None
@@ -203,13 +203,13 @@ def main(
     file: str, description: str | None, run: Callable[[Study], None] | Parts,
     arguments: list[str] | None = None,
 ) -> int:  # fmt: skip
-    """Be the command line of a study that is a script in a folder of its own; return its exit code.
+    """Run the command line of a study, a script in its own folder; return the exit code.
 
     Parameters
     ----------
     file : the script, beside which are its namelists and its page.
-    description : what it does.
-    run : does it; or its parts by name, of which the command line may choose.
+    description : description for `--help`.
+    run : makes the study; or its parts by name, which the command line may select.
     arguments : words of the command line; None: those of the process.
     """
     place = Path(file).resolve().parent
@@ -219,7 +219,7 @@ def main(
     )  # fmt: skip
     add_options(options, ROOT / "build" / place.name, [*run] if isinstance(run, Mapping) else ())
 
-    def asked(words: list[str] | None) -> int:
+    def call(words: list[str] | None) -> int:
         given = options.parse_args(words)
         study = study_of(given, place, (place, ""))
         if not isinstance(run, Mapping):
@@ -230,4 +230,4 @@ def main(
             run[name](study)
         return 0
 
-    return cli.run(asked, arguments)
+    return cli.run(call, arguments)

@@ -1,4 +1,4 @@
-"""Numbers in words, for tables of pages."""
+"""Numbers as text, for tables of pages."""
 
 from __future__ import annotations
 

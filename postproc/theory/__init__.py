@@ -1,1 +1,1 @@
-"""What the paper and later models say of a circuit: flows, stationary states, lifetimes."""
+"""Theories of a circuit, the paper's and later ones: flows, stationary states, lifetimes."""

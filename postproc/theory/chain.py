@@ -1,6 +1,6 @@
 """Finite N: N2 as a birth-death chain with the theory's rates, its distribution and lifetimes.
 
-A theory whose urns take their time to settle after N2 brings a chain in two variables of its own
+A theory whose urns relax more slowly than N2 has its own chain in two variables
 (`Theory.passages`).
 """
 
@@ -33,11 +33,11 @@ class Lifetimes:
 
     Attributes
     ----------
-    homogeneous, polarised : lifetimes; infinite where there is no state to go to, zero where there
-        is no such state.
+    homogeneous, polarised : lifetimes; infinite if there is no other state, zero if there is no
+        such state.
     barrier : chi of the unstable state between them, NaN without one.
-    polarised_share : probability of the stationary chain to be beyond the barrier; of urns that
-        take their time to settle, as the two lifetimes have it.
+    polarised_share : probability of the stationary chain to be beyond the barrier; for urns that
+        relax slowly, from the two lifetimes.
     """
 
     homogeneous: float
@@ -47,10 +47,10 @@ class Lifetimes:
 
 
 def between(places: Floats, values: Floats, wanted: ArrayLike) -> Floats:
-    """Return values, shape (..., place), at other places: cubic splines; beyond the ends the ends.
+    """Interpolate values, shape (..., place), by cubic splines; constant beyond the ends.
 
-    What an urn sends has a peak that is no wider than a few places: what keeps the peak at one of
-    them, or joins them by straight lines, is off by a tenth there.
+    The outflow of an urn has a peak that is only a few places wide: linear interpolation has an
+    error of a tenth there.
     """
     places, order = np.unique(places, return_index=True)
     inside = np.clip(wanted, places[0], places[-1])
@@ -86,7 +86,7 @@ def stationary_distribution(circuit: Circuit) -> Floats:
 def mean_state(circuit: Circuit) -> list[State]:
     """Return the means of chi and of the net current over the distribution, as a state.
 
-    Of circuits with equal urns and gates. It is there where no polarised state is: chi fluctuates.
+    For circuits with equal urns and gates. It exists without a polarised state: chi fluctuates.
     """
     weights, number = stationary_distribution(circuit), float(circuit.number)
     share = np.arange(weights.size, dtype=float)
@@ -98,7 +98,7 @@ def mean_state(circuit: Circuit) -> list[State]:
 def time_up(log_up: Floats, log_down: Floats, start: int, stop: int) -> float:
     """Return the mean time from state `start` to state `stop` > start of a chain closed at 0."""
     weights = log_weights(log_up, log_down)
-    with np.errstate(invalid="ignore"):  # what is empty weighs -inf
+    with np.errstate(invalid="ignore"):  # the logarithm of a weight 0 is -inf
         below = np.logaddexp.accumulate(weights[:stop])
     steps = below - weights[:stop] - log_up[:stop]
     with np.errstate(over="ignore"):
@@ -109,14 +109,14 @@ def folded(log_up: Floats, log_down: Floats) -> tuple[Floats, Floats]:
     """Return the rates of |N2 - N/2|: state j is N2 = ceil(N/2) + j or its mirror image."""
     middle = log_up.size // 2
     up, down = log_up[middle:].copy(), log_down[middle:].copy()
-    if log_up.size % 2:  # from N/2 either side is away
+    if log_up.size % 2:  # from N/2 both directions lead away
         up[0] = np.logaddexp(up[0], down[0])
     down[0] = -np.inf
     return up, down
 
 
 def passages(circuit: Circuit, theory: Theory = WELL_MIXED) -> Callable[[int, int], float]:
-    """Return what tells the mean time from one state of `folded` to another, farther out or in."""
+    """Return a function for the mean time from one state of `folded` to another."""
     if theory.passages is not None:
         return theory.passages(circuit)
     return _of_chain(*folded(*log_rates(circuit, theory)))
@@ -136,7 +136,7 @@ def _of_chain(up: Floats, down: Floats) -> Callable[[int, int], float]:
 def lifetimes(circuit: Circuit, theory: Theory = WELL_MIXED) -> Lifetimes:
     """Return the lifetimes of the homogeneous and of the (outermost) polarised state.
 
-    Of circuits with equal urns and gates.
+    For circuits with equal urns and gates.
     """
     states = theory.states(circuit)
     polarised = [state for state in states if state.kind == "stable"]
@@ -171,20 +171,20 @@ def passage_times(
     """Return the chain's mean times from chi = 0 until chi >= high, and from 1 until chi <= low.
 
     Unlike `lifetimes` they are defined whether or not the theory has both states. `sparse` are
-    factors of what the sparser urn sends through channels 1 and 2, if it is well mixed.
+    factors of the outflows of the sparser urn through channels 1 and 2, if it is well mixed.
     """
     number = int(circuit.number)
     passage = passages(circuit, theory)
     if sparse != (1.0, 1.0):
         up, down = folded(*log_rates(circuit, theory))
-        fewer = number // 2 - np.arange(up.size)  # how many the sparser urn of each state has
+        fewer = number // 2 - np.arange(up.size)  # number in the sparser urn of each state
         apart = (fewer > 0) & (2 * fewer < number)
         through1, through2 = (
             flow1(circuit, fewer[apart]),
             flow2(circuit, fewer[apart]),
         )
-        kept = (sparse[0] * through1 + sparse[1] * through2) / (through1 + through2)
-        up[apart] += np.log(kept)
+        factor = (sparse[0] * through1 + sparse[1] * through2) / (through1 + through2)
+        up[apart] += np.log(factor)
         passage = _of_chain(up, down)
     offset, last = (number + 1) // 2, number // 2
     above = int(np.clip(np.ceil(0.5 * number * (1.0 + high) - 1e-9) - offset, 1, last))

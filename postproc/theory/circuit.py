@@ -26,9 +26,9 @@ if TYPE_CHECKING:
 
     Floats = NDArray[np.float64]
 
-ROUNDS = 60  # at most, of the iteration that tells urns from channels
+ROUNDS = 60  # at most, of the iteration for the numbers in urns and channels
 TINY = 1e-300
-WIDTHS_TRIED = 400  # places between 0 and 2r where a transition is looked for
+WIDTHS_TRIED = 400  # values between 0 and 2r at which a transition is searched for
 
 
 @dataclass(frozen=True)
@@ -40,25 +40,26 @@ class Circuit:
     Attributes
     ----------
     number : N, how many particles.
-    threshold : T, a gate turns back what heads for the other when that is more than T.
+    threshold : T, a gate reverses the particles that it counts if these are more than T.
     channel1_width, channel1_length : w and l of the gated channel, both gates together.
     channel2_width, channel2_length : w' and l' of the channel that closes the circuit; w' = 0 is
         the one-channel model of J. Phys. A 53, 305001 (2020).
     urn_radius : r.
-    gate : how much of what enters a gate gets through.
-    occupation : whether those in the channels are told from those in the urns. If not, as in the
-        paper, a half with N1 particles has all of them in its urn. If so, an urn's *share* of the
-        particles, wherever a number of particles is asked for, is what is in it and what it has in
-        the channels (`held_in_channels`); the shares of both urns add up to N.
+    gate : model of the gates, the share of entries that gets through.
+    occupation : whether particles in the channels are distinguished from those in the urns. If not,
+        as in the paper, a half with N1 particles has all of them in its urn. If so, an urn's
+        *share* of the particles, the argument of all functions of a number of particles, is the
+        number in it and in the channels that belongs to it (`held_in_channels`); the shares of both
+        urns add up to N.
     shape : "circuit", or "urn": the appendix's single urn with gate 1 and an end wall. It has no
-        channel 2, so w' = 0; what hits the wall comes back through the gate, so it is there for
-        2 tau, as in the circuit what gets through is in either gate.
-    urn2_radius, gate2_threshold : r of urn 2 and T of its gate where they are others than those of
-        urn 1. What this module computes is one side's: ask it about each of `sides`.
-    scatterers : z, y, radius of each disc in channel 2, z from urn 2 to urn 1. They are drawn; of
-        what they do no theory knows, and each says so (`InputError`).
+        channel 2, so w' = 0; particles that hit the wall return through the gate, so they are in it
+        for 2 tau, as in the circuit particles are in both gates.
+    urn2_radius, gate2_threshold : r of urn 2 and T of its gate if they differ from those of urn 1.
+        This module computes quantities of one side: call it for each of `sides`.
+    scatterers : z, y, radius of each disc in channel 2, z from urn 2 to urn 1. They are drawn in
+        figures; no theory includes them (`InputError`).
     outline, urn2_outline : the corners of urns that are polygons, see `outlines`; None: discs
-        (and urn 2 as urn 1). Then `urn_radius` is but a size.
+        (and urn 2 as urn 1). Then `urn_radius` is only a length scale.
     """
 
     number: ArrayLike
@@ -78,18 +79,18 @@ class Circuit:
     urn2_outline: Outline | None = None
 
     def need_empty_channels(self) -> None:
-        """Raise `InputError` if scatterers stand in channel 2: theories know straight channels."""
+        """Raise `InputError` if there are scatterers in channel 2, which no theory has."""
         if self.scatterers:
             raise InputError("no theory knows scatterers in channel 2: it would give wrong numbers")
 
     @property
     def brief(self) -> str:
-        """What it is called where it is one of many: N and T."""
+        """Short name of the circuit: N and T."""
         return f"N = {self.number}, T = {self.threshold}"
 
     @property
     def sides(self) -> tuple[Circuit, Circuit]:
-        """Two circuits with equal urns and gates, of urn 1's kind and of urn 2's."""
+        """Two circuits with equal urns and gates, those of urn 1 and those of urn 2."""
         one = replace(self, urn2_radius=None, gate2_threshold=None, urn2_outline=None)
         outline = self.outline if self.urn2_outline is None else self.urn2_outline
         radius = self.urn_radius if self.urn2_radius is None else self.urn2_radius
@@ -103,19 +104,19 @@ class Circuit:
 
     @property
     def unlike(self) -> str:
-        """What differs between both sides, in words; empty if urns and gates are alike."""
+        """Differences of the sides in words; empty if urns and gates are equal."""
         pairs = {
             "gate_threshold": (self.threshold, self.gate2_threshold),
             "urn_radius": (self.urn_radius, self.urn2_radius),
         }
-        told = [f"{name} is {one:g} and {two:g}" for name, (one, two) in pairs.items()
+        differences = [f"{name} is {one:g} and {two:g}" for name, (one, two) in pairs.items()
                 if two not in (None, one)]  # fmt: skip
         one, two = self.sides
-        return ", ".join(told) or ("" if one == two else "its urns are unlike polygons")
+        return ", ".join(differences) or ("" if one == two else "its urns are unlike polygons")
 
     @property
     def thresholds(self) -> str:
-        """T of both gates in words: once if they are alike."""
+        """T of both gates as text: once if they are equal."""
         return ", ".join(dict.fromkeys(str(side.threshold) for side in self.sides))
 
     @property
@@ -144,7 +145,7 @@ class Circuit:
     def urn_area(self) -> Floats:
         """A of eq. (eq000), the disc less the segments cut off by the chords (length squared).
 
-        That of a polygon is what its corners enclose.
+        For a polygon it is the area enclosed by its corners.
         """
         if self.outline is not None:
             return np.asarray(outlines.area(self.outline))
@@ -158,13 +159,13 @@ class Circuit:
 
     @property
     def widest(self) -> float:
-        """Below what channel 2 must be wide to fit into an urn."""
+        """Upper bound of w' for channel 2 to fit into an urn."""
         if self.outline is not None:
             return outlines.widest(self.outline)
         return 2.0 * float(np.asarray(self.urn_radius))
 
     def need_discs(self, what: str) -> None:
-        """Raise `InputError` unless the urns are discs, which is all that `what` knows."""
+        """Raise `InputError` unless the urns are discs, as `what` requires."""
         if self.outline is not None:
             raise InputError(f"{what} knows urns that are discs only, these are polygons")
 
@@ -182,10 +183,10 @@ def gate_load(circuit: Circuit, urn_number: ArrayLike) -> Floats:
 
 
 def held_in_channels(circuit: Circuit, in_urn: ArrayLike) -> tuple[Floats, Floats]:
-    """Return how many of an urn are in the channels, in its half and in the other.
+    """Return how many particles of an urn are in the channels, in its half and in the other.
 
-    Those that get through spend tau in either gate and pi l'/4 in either half of channel 2. Those
-    turned back, T + 1 at a time, had come in one after the other: on average T/(2 nu) ago.
+    Particles that get through spend tau in either gate and pi l'/4 in either half of channel 2.
+    Reversed ones, T + 1 at a time, have entered one after the other: on average T/(2 nu) before.
     """
     load = gate_load(circuit, in_urn)
     share = circuit.gate.share(circuit.threshold, load)
@@ -195,7 +196,7 @@ def held_in_channels(circuit: Circuit, in_urn: ArrayLike) -> tuple[Floats, Float
 
 
 def in_urn(circuit: Circuit, number: ArrayLike) -> Floats:
-    """Return how many are inside an urn whose share of the particles is `number`."""
+    """Return the number inside an urn whose share of the particles is `number`."""
     share = np.asarray(number, float)
     if not circuit.occupation:
         return share
@@ -210,27 +211,27 @@ def in_urn(circuit: Circuit, number: ArrayLike) -> Floats:
 
 
 def _held_slope(circuit: Circuit, inside: Floats) -> Floats:
-    """Return the derivative of an urn's share of the particles by those inside it."""
+    """Return the derivative of an urn's share of the particles by the number inside it."""
     step = 1e-5 * np.maximum(inside, 1e-6)
     more, fewer = (sum(held_in_channels(circuit, inside + sign * step)) for sign in (1.0, -1.0))
     return 1.0 + (more - fewer) / (2.0 * step)
 
 
 def flow1(circuit: Circuit, number: ArrayLike) -> Floats:
-    """Return what an urn with n particles sends through channel 1, eq. (eqapp5), per unit time."""
+    """Return the outflow of an urn with n particles through channel 1, eq. (eqapp5)."""
     inside = in_urn(circuit, number)
     share = circuit.gate.share(circuit.threshold, gate_load(circuit, inside))
     return inside * np.asarray(circuit.channel1_width) * share / (np.pi * circuit.urn_area)
 
 
 def flow2(circuit: Circuit, number: ArrayLike) -> Floats:
-    """Return what an urn with n particles sends through channel 2, n w'/(pi A), per unit time."""
+    """Return the outflow of an urn with n particles through channel 2, n w'/(pi A)."""
     inside = in_urn(circuit, number)
     return inside * np.asarray(circuit.channel2_width) / (np.pi * circuit.urn_area)
 
 
 def eta(circuit: Circuit, urn2_number: ArrayLike) -> Floats:
-    """Return eta of eq. (eq007): what urn 1 sends to urn 2 less what comes back, per unit time.
+    """Return eta of eq. (eq007): flow from urn 1 to urn 2 minus the flow back, per unit time.
 
     Parameters
     ----------
@@ -264,10 +265,10 @@ def _outflow_slope(circuit: Circuit, number: Floats) -> Floats:
 
 
 def log_outflow(circuit: Circuit, number: ArrayLike) -> Floats:
-    """Return log f(n), f(n) = n [w share(T, lambda) + w'], good where f underflows."""
+    """Return log f(n), f(n) = n [w share(T, lambda) + w'], accurate also if f underflows."""
     inside = in_urn(circuit, number)
     log_share = circuit.gate.log_share(circuit.threshold, gate_load(circuit, inside))
-    # Nothing at all, from an empty urn, is -inf + -inf to numpy.
+    # For an empty urn numpy computes -inf + -inf.
     with np.errstate(divide="ignore", invalid="ignore"):
         through2 = np.log(np.asarray(circuit.channel2_width, float))
         return np.log(inside) + np.logaddexp(np.log(circuit.channel1_width) + log_share, through2)
@@ -289,7 +290,7 @@ def net_current2(circuit: Circuit, urn2_number: ArrayLike) -> Floats:
 
 
 def half2_number(circuit: Circuit, share2: ArrayLike) -> Floats:
-    """Return N2, urn 2 and its half of the channels, where urn 2's share of the particles is given.
+    """Return N2, the number in half 2, from urn 2's share of the particles.
 
     The same number unless `occupation` is on.
     """
@@ -301,7 +302,7 @@ def half2_number(circuit: Circuit, share2: ArrayLike) -> Floats:
 
 
 def homogeneous_kind(circuit: Circuit) -> str:
-    """Return whether N2 = N/2 is "stable" or "unstable" ("neutral": nothing moves at all)."""
+    """Return whether N2 = N/2 is "stable" or "unstable" ("neutral": there is no flow)."""
     half = 0.5 * float(np.asarray(circuit.number))
     if float(circuit.channel2_width) > 0.0:
         return "stable" if float(eta_slope(circuit, half)) <= 0.0 else "unstable"
@@ -329,7 +330,7 @@ def transition_width(circuit: Circuit) -> float:
     widths = limit * np.linspace(0.0, 1.0, WIDTHS_TRIED, endpoint=False)
     values = slope(widths)
     if values[0] == 0.0:
-        return 0.0  # too small for any number
+        return 0.0  # underflow
     changes = np.flatnonzero((values[:-1] < 0.0) & (values[1:] >= 0.0))
     if values[0] > 0.0 or changes.size == 0:
         return math.nan
@@ -340,6 +341,6 @@ def transition_width(circuit: Circuit) -> float:
 def single_urn_current(urn: Circuit) -> Floats:
     """Return the current of the appendix's single urn, eq. (eqapp5): hits on the end wall.
 
-    Per unit time, with all particles as the urn's share of them.
+    Per unit time, with all particles as the urn's share.
     """
     return flow1(urn, urn.number)

@@ -1,12 +1,12 @@
-"""Particles that cross urns without a bounce, round after round, and the current they carry.
+"""Circulating particles, which cross urns without a wall hit, and the current they carry.
 
-Two ports have an urn forget where a particle came in, but for its opening. Along the axis it does
-not: a particle that leaves one mouth nearly along the axis crosses the urn without a bounce, passes
-channel 1 or is turned back there as by a flat mirror, crosses an urn again, and so on until it hits
-a wall. Nothing but walls and gates decides: so such particles are followed, one by one.
+In `two_port` the memory of an urn is only the opening of entry. Along the axis it is more: a
+particle that leaves one opening nearly along the axis crosses the urn without a wall hit, passes
+channel 1 or is reversed there as by a flat mirror, crosses an urn again, and so on until it hits a
+wall. This depends only on walls and gates, so such particles are followed one by one.
 
-All lengths along the axis, slope u > 0 (a state and its mirror image in the axis are one). From
-place x in the mouth of channel 2 to y in that of channel 1 and back
+All lengths are along the axis, the slope is u > 0 (a state and its mirror image at the axis are
+one). From the position x in the opening of channel 2 to y in that of channel 1 and back:
 
     x -> y = x + u d                              lost unless |y| < w/2
     y -> y + u l  mod w    if the gate lets it through, chance q, into the other urn
@@ -14,22 +14,24 @@ place x in the mouth of channel 2 to y in that of channel 1 and back
     y -> x = y + u d                              lost unless |x| < w'/2
     x -> x + u l' mod w'                          through channel 2, into the other urn
 
-d is the way across the urn. What comes from walls has the densities, in place and sin(theta), of
-what urns send: e/(2w) into channel 1, f/(2w') into channel 2. So particles are put into channel 2
-evenly in x and u, with the weight of each way by which they come *from a wall* in one step:
-straight out of the urn; turned back by its gate; through channel 1 from the other urn. Those that
-come from a mouth are there already, as the sequel of others: this is why a particle between two
-mouths is not filled up from the dense urn at each of its rounds.
+d is the distance across the urn. Particles that come from walls have the densities of the outflows
+of urns in position and sin(theta): e/(2w) into channel 1, f/(2w') into channel 2. So particles are
+put into channel 2 uniformly in x and u, with the weight of each way by which they come *from a
+wall* in one step: straight out of the urn; reversed by its gate; through channel 1 from the other
+urn. Those that come from an opening are counted already, as later rounds of others: so orbits
+between two openings are not filled again from the dense urn in each round.
 
-Of what is turned back in a gate that T + 1 fill, the j-th to come has been inside for j entries.
+Of the T + 1 particles that a gate reverses, the j-th to enter has been inside for j entries.
 
-What passes an urn straight is held against what two ports have pass there, e (1 - q) + e' q' and f
-on the same lines. The difference passes for certain, where two ports have it pass by the chance
-P12, or come back by the chance a: a source between the openings, to which the urns answer
-(`response`). Beyond `ROUNDS` what is left falls as 1/m, less what the sparse gate turns back.
+The flow that crosses an urn straight is compared with that of `two_port` on the same lines, e (1 -
+q) + e' q' and f. The difference crosses with certainty, while in `two_port` it crosses with the
+probability P12, or returns with the probability a: this is a source between the openings, with the
+effect `response` on the current. Beyond `ROUNDS` the rest falls as 1/m, less the particles that the
+gate of the sparse urn reverses.
 
-Particles are drawn, always the same, half of them with slopes at which they may last: where a round
-shifts them by no more than whole parts of w'. The current is known to some 1e-3 of the net current.
+The particles are random, but always the same ones; half of them have slopes at which they may
+circulate for long: those at which a round shifts them by nearly a simple fraction of w'. The
+current is accurate to about 1e-3 of the net current.
 """
 
 from __future__ import annotations
@@ -54,31 +56,31 @@ if TYPE_CHECKING:
     Integers = NDArray[np.int64]
     Flags = NDArray[np.bool_]
 
-SAMPLES = 2**16  # particles that are put into channel 2, each way
-PARTS = 6  # of w', by which a round may shift what lasts
-NEAR = (3e-4, 0.3)  # of w' a round: how near to such shifts slopes are drawn
-ROUNDS = 512  # that they are followed for
-LATE = 64  # rounds from which the 1/m is taken
-GONE = 30.0  # exponent from which on nothing is left
+SAMPLES = 2**16  # particles that are put into channel 2 from each urn
+PARTS = 6  # of w': fractions by which a round shifts long-lived particles
+NEAR = (3e-4, 0.3)  # of w' per round: distances to such shifts at which slopes are drawn
+ROUNDS = 512  # for which they are followed
+LATE = 64  # rounds from which the 1/m law is used
+GONE = 30.0  # exponent above which the rest is 0
 
 
 def _folded(place: Floats, width: float) -> Floats:
-    """Return places in a channel, unfolded at its walls, as places within it."""
+    """Fold positions, unfolded at the walls of a channel, back into it."""
     return place - width * np.floor(place / width + 0.5)
 
 
 class Straight:
-    """Particles of a circuit that cross urns without a bounce.
+    """Particles of a circuit that cross urns without a wall hit.
 
     Parameters
     ----------
     circuit : the circuit.
-    entries, across : e and f, what urns 1 and 2 send into channels 1 and 2 per unit time.
+    entries, across : e and f, outflows of urns 1 and 2 into channels 1 and 2 per unit time.
     share : q of the shortest stay, of both gates.
     """
 
     def __init__(self, circuit: Circuit, entries: Floats, across: Floats, share: Floats) -> None:
-        """Prepare the numbers that particles are followed by."""
+        """Prepare the lengths and shares for following particles."""
         self.widths = float(circuit.channel1_width), float(circuit.channel2_width)
         self.lengths = float(circuit.channel1_length), float(circuit.channel2_length)
         self.distance = np.array([float(sum(one.chords)) for one in circuit.sides])
@@ -88,7 +90,7 @@ class Straight:
         self.in_channel = across / (2.0 * self.widths[1])
 
     def depth(self, urn: Integers, slope: Floats, draw: np.random.Generator) -> Floats:
-        """Return how deep in their gates particles are turned back."""
+        """Return the depths in the gates at which particles are reversed."""
         place = draw.integers(0, self.threshold[urn] + 1)
         inside = draw.standard_gamma(place) / np.maximum(self.entries[urn], 1e-300)
         deep = inside / np.sqrt(1.0 + slope**2)
@@ -96,7 +98,7 @@ class Straight:
         return np.where(deep < 0.5 * self.lengths[0], deep, anywhere)
 
     def slopes(self, draw: np.random.Generator) -> tuple[Floats, Floats]:
-        """Return slopes, and the volume in slope that each stands for; 0 outside of all mouths."""
+        """Return slopes and the interval of slopes of each; 0 outside of all openings."""
         (width1, width2), outside = self.widths, self.distance.sum() + self.lengths[0]
         whole = outside + self.lengths[1]
         steepest = 0.5 * (width1 + width2) / self.distance.min()
@@ -124,10 +126,10 @@ class Straight:
         return np.abs(slope), np.where(allowed, 1.0 / (density * SAMPLES), 0.0)
 
     def begun(self, start: int, draw: np.random.Generator) -> tuple[Floats, ...]:
-        """Return place, slope, and volume in both, of what urn `start` sends into channel 2.
+        """Return position, slope, and volume in both, of the outflow of urn `start` into channel 2.
 
-        And what comes of it from a wall, per unit time: straight out of the urn; turned back by its
-        gate; through channel 1 from the other urn; shape (origin, particle).
+        Also its parts that come from a wall, per unit time: straight out of the urn; reversed by
+        its gate; through channel 1 from the other urn; shape (origin, particle).
         """
         other, (width1, width2) = 1 - start, self.widths
         slope, share = self.slopes(draw)
@@ -149,11 +151,11 @@ class Straight:
     def rounds(
         self, start: int, place: Floats, slope: Floats, draw: np.random.Generator
     ) -> Iterator[tuple[Integers, Integers, Integers, Integers, Flags]]:
-        """Follow particles that urn `start` sends into channel 2 at a place and slope, by round.
+        """Follow particles that urn `start` sends into channel 2, round by round.
 
-        Yields which of them have crossed an urn from channel 2 to channel 1, and which urn; which
-        have crossed one from channel 1 to channel 2 after that, which, and whether from the other
-        one, through channel 1.
+        Yields the particles that have crossed an urn from channel 2 to channel 1, and the urn;
+        those that have then crossed one from channel 1 to channel 2, the urn, and whether they have
+        come through channel 1 from the other urn.
         """
         (width1, width2), (length1, length2) = self.widths, self.lengths
         which, urn = np.arange(slope.size), np.full(slope.size, 1 - start)
@@ -174,10 +176,10 @@ class Straight:
             urn = 1 - urn
 
     def passages(self, start: int) -> tuple[Floats, Floats]:
-        """Return what crosses urns straight, beyond what two ports have, by round.
+        """Return the flows that cross urns straight in excess of `two_port`, by round.
 
-        Of those that begin with urn `start`, per unit time: from channel 1 to channel 2, and from
-        channel 2 to channel 1; shape (urn, round).
+        For particles that begin in urn `start`, per unit time: from channel 1 to channel 2, and
+        from channel 2 to channel 1; shape (urn, round).
         """
         draw = np.random.default_rng(1)
         place, slope, volume, weights = self.begun(start, draw)
@@ -210,13 +212,13 @@ def followed(circuit: Circuit, entries: Floats, across: Floats) -> Straight:
 
 
 def round_time(circuit: Circuit) -> float:
-    """Return how long a round takes at speed 1: across both urns and through both channels."""
+    """Return the time of a round at speed 1: across both urns and through both channels."""
     across = sum(float(sum(one.chords)) for one in circuit.sides)
     return across + float(circuit.channel1_length) + float(circuit.channel2_length)
 
 
 def response(one: Ports) -> float:
-    """Return the current that a source of 1 between an urn's openings drives, urns' numbers kept.
+    """Return the current due to a source of 1 between an urn's openings, at fixed numbers.
 
     J (1 + a - 2 P12) = P12 (e_2 - e_1) + source, t1 (e_2 - e_1) = n_2 - n_1 - (2 t1 - t2) J.
     """
@@ -225,12 +227,12 @@ def response(one: Ports) -> float:
 
 
 def beyond(late: Floats, decay: float, rounds: Floats) -> Floats:
-    """Return the sum of what follows `late`, as exp(-decay m)/m, to each of `rounds`.
+    """Return the sum of the terms after `late`, as exp(-decay m)/m, up to each of `rounds`.
 
     Parameters
     ----------
     late : terms to be summed, of rounds 0 to ROUNDS.
-    decay : the logarithm by which each round is less, apart from the 1/m.
+    decay : decay rate per round, apart from the 1/m.
     rounds : of any shape.
     """
     if decay * ROUNDS > GONE:
@@ -247,14 +249,13 @@ def circulating_current(
 ) -> Floats:  # fmt: skip
     """Return the current of channel 2 from urn 2 to urn 1 by straight passages, at each age.
 
-    Less than two ports have of it already.
+    Without the part that `two_port` includes already.
 
     Parameters
     ----------
     urns : the ports of urns 1 and 2.
-    entries, across : e and f, what they send into channels 1 and 2 per unit time, shape (2,).
-    age : of the run, of any shape: orbits of more rounds than have been flown by then are not
-        filled yet.
+    entries, across : e and f, their outflows into channels 1 and 2 per unit time, shape (2,).
+    age : age of the run, of any shape: orbits of more rounds than fit into it are not filled yet.
     """
     if float(circuit.channel2_width) == 0.0:
         return np.zeros(np.shape(age))
@@ -263,7 +264,7 @@ def circulating_current(
     decay = -math.log(min(max(float(straight.share.max()), 1e-300), 1.0 - 1e-12))
 
     def around(start: int) -> Floats:
-        """Return what begins in urn `start` drives, from urn 2 to urn 1."""
+        """Return the current due to particles that begin in urn `start`, from urn 2 to urn 1."""
         down, up = straight.passages(start)
         terms = np.zeros(ROUNDS + 1)
         for urn, sign in ((0, -1.0), (1, 1.0)):

@@ -1,30 +1,31 @@
-"""Stationary states of two urns that remember by which opening, and in which direction, one came.
+"""Stationary states of two urns that remember the opening and the direction of entry.
 
-A visit keeps the angle of incidence. From opening 1 to opening 1 the angle to the channel changes
-by the difference of two places on one arc only, so s = |sin(theta)| of successive entries into a
-gate diffuses, nearly as D d/ds (1 - s^2) d/ds. Oblique particles stay long in the gate and are
-turned back again and again; the fast ones pass. With
-F_i(s), H_i(s) the densities of what urn i sends into channels 1 and 2, and q_i(s) the fate of
-`fate.passing`,
+A visit conserves the angle of incidence. From opening 1 to opening 1 the angle to the channel
+changes only by the difference of two positions on one arc, so s = |sin(theta)| of successive
+entries into a gate diffuses, nearly as D d/ds (1 - s^2) d/ds. Oblique particles stay long in the
+gate and are reversed again and again; the fast ones pass. With F_i(s), H_i(s) the densities of the
+outflows of urn i into channels 1 and 2, and q_i(s) the probability to pass its gate
+(`fate.passing`),
 
     B_i = (1 - q_i) F_i + q_j F_j          F_i = K11 B_i + K21 H_j          H_i = K12 B_i + K22 H_j.
 
-The K are no diffusion but exact: K_oo'(s, s') is the density of exits through opening o' at s' of
-entries through opening o at s, summed over the pieces of `visits`. They stand in even Legendre
-polynomials, orthonormal over 0 ... 1, as do F, H and B; the first is the cosine law.
+The K are exact, not a diffusion: K_oo'(s, s') is the density of exits through opening o' at s' of
+entries through opening o at s, summed over the pieces of `visits`. They are expanded in even
+Legendre polynomials, orthonormal over 0 ... 1, as are F, H and B; the first is the cosine law.
 
-D is half the mean square of the change of the angle, which is the sum of the places y and y' of
-entry and exit on their arcs. Were these independent it would be (w/r)^2/12. But for narrow openings
-a visit from y back to y' has passed by the opening before. With the lattice of `returns`, without a
-second opening, e = |y' - y| and mu = |y + y'| in units of the opening's arc have the density
+D is half the mean square of the change of the angle, which is the sum of the positions y and y' of
+entry and exit on their arcs. If these were independent it would be (w/r)^2/12. But for narrow
+openings a visit from y back to y' has passed the opening before. With the lattice of `returns`,
+without a second opening, e = |y' - y| and mu = |y + y'| in units of the opening's arc have the
+density
 (12/pi^2) ln((1 + mu + e)/(1 + mu - e))/e on e + mu < 1, so that
 
     D = (w/r)^2 <mu^2>/2 = (1/6 - 1/pi^2) (w/r)^2.
 
-Second eigenvalues of K11, exp(-6 D), have 0.0664, 0.0655 and 0.0653 at w/r = 0.3, 0.1 and 0.03.
+The second eigenvalues of K11, exp(-6 D), give 0.0664, 0.0655 and 0.0653 at w/r = 0.3, 0.1 and 0.03.
 
-A circuit out of balance is held by taking from one urn and giving to the other, by the cosine law,
-what the gates and channel 2 leave over.
+A circuit out of balance is held stationary by moving the difference of the flows from one urn to
+the other, by the cosine law.
 """
 
 from __future__ import annotations
@@ -55,28 +56,28 @@ if TYPE_CHECKING:
     Floats = NDArray[np.float64]
 
 POLYNOMIALS = 12
-DIFFUSION = 1.0 / 6.0 - 1.0 / math.pi**2  # D of narrow openings, in (w/r)^2 a visit
-NARROWEST = 1e-6  # channel 2, in radii: what stands for a closed one
-ROUNDS = 80  # at most, of the iteration that makes gates and flows agree
-AGREED = 1e-5  # change of fates, and of flows relative to the largest, at which it ends
-KEPT = 0.3  # of the fates of the round before, against overshooting
+DIFFUSION = 1.0 / 6.0 - 1.0 / math.pi**2  # D of narrow openings, in (w/r)^2 per visit
+NARROWEST = 1e-6  # width of channel 2, in radii, that represents a closed one
+ROUNDS = 80  # at most, of the iteration of gates and flows
+AGREED = 1e-5  # change of q, and of flows relative to the largest, at which it ends
+KEPT = 0.3  # weight of q of the previous iteration, against overshooting
 LEAST_SHARE = (
-    1e-3  # of the particles in urns, in the emptier one, down to which states are looked for
+    1e-3  # of the particles in urns, in the emptier one, down to which states are searched for
 )
-EVENLY, FALLING = 10, 10  # places down to a tenth, from there on, and
-NEARER = 5  # halvings of the last step towards what channel 2 alone keeps in an urn
-NEXT_TO_EQUAL = 0.02  # how far off equal urns the first is
+EVENLY, FALLING = 10, 10  # points down to a tenth, and below it
+NEARER = 5  # bisections of the last step towards the number that channel 2 alone brings
+NEXT_TO_EQUAL = 0.02  # distance of the first from equal urns
 
 
 @dataclass(frozen=True)
 class Transfer:
-    """What an urn does to densities of direction; polynomials in, polynomials out.
+    """Effect of an urn on densities of direction, in the basis of polynomials.
 
     Attributes
     ----------
     kernel : kernel[o, p] takes entries through opening o to exits through p (0, 1: channels 1, 2),
         shape (2, 2, polynomial in, polynomial out).
-    stay : times these, mean number in the urn of entries at rate 1, shape (2, polynomial in).
+    stay : mean number in the urn for entries at rate 1, shape (2, polynomial in).
     """
 
     kernel: Floats
@@ -97,8 +98,8 @@ def polynomials(sine: Floats) -> Floats:
 def transfer(radius: float, width1: float, width2: float) -> Transfer:
     """Return the transfer of directions by a disc with openings of these widths.
 
-    Summed over `visits`; what is lacking to everyone's leaving, below 1e-6, is made up for. Narrow
-    openings have their limit.
+    Summed over `visits`, and normalised such that all particles leave, a change below 1e-6. For
+    narrow openings their limit is used.
     """
     widths = (width1, width2)
     if max(widths) < NARROW * radius:
@@ -114,15 +115,16 @@ def transfer(radius: float, width1: float, width2: float) -> Transfer:
         same = np.broadcast_to(found.same, place.shape).ravel()
         kernel[own, own] = entering[:, same] @ leaving[:, same].T
         kernel[own, other] = entering[:, ~same] @ leaving[:, ~same].T
-    for own in (0, 1):  # everyone leaves
+    for own in (0, 1):  # all particles leave
         kernel[own, own, 0, 0] += 1.0 - kernel[own, :, 0, 0].sum()
     return Transfer(kernel, stay)
 
 
 def _narrow_transfer(radius: float, width1: float, width2: float) -> Transfer:
-    """Return the transfer by narrow openings: chances, stays, and a diffusion for each way through.
+    """Return the transfer by narrow openings: probabilities, stays, and a diffusion for each way.
 
-    How many chords, and from which place to which, has nothing to do with the incidence then.
+    In this limit the number of chords, and the positions of entry and exit, do not depend on the
+    incidence.
     """
     widths = (width1, width2)
     port = ports.disc(Circuit(1, 1, width1, width2, radius))
@@ -137,15 +139,15 @@ def _narrow_transfer(radius: float, width1: float, width2: float) -> Transfer:
         square = 0.5 * (2.0 * place + found.shift) ** 2
         for out, chosen in ((own, found.same), (other, ~found.same)):
             diffusion = np.average(square[:, chosen], weights=weight[:, chosen])
-            kept = np.exp(-diffusion * degree * (degree + 1.0))
-            kernel[own, out] = np.diag(chance[own, out] * kept)
+            factor = np.exp(-diffusion * degree * (degree + 1.0))
+            kernel[own, out] = np.diag(chance[own, out] * factor)
     sine, weights = fate.directions()
     chord = polynomials(sine) @ (weights * np.sqrt(1.0 - sine**2))
     return Transfer(kernel, np.outer([port.stay1, port.stay2], chord / chord[0]))
 
 
 def diffusion(radius: float, width: float) -> float:
-    """Return D of directions, a visit, by the second eigenvalue exp(-6 D) of K11 without a w'."""
+    """Return D of directions per visit, by the second eigenvalue exp(-6 D) of K11 without w'."""
     kernel = transfer(radius, width, NARROWEST * radius).kernel[0, 0]
     first, second = np.sort(np.linalg.eigvals(kernel).real)[:-3:-1]
     return math.log(first / second) / 6.0
@@ -153,14 +155,14 @@ def diffusion(radius: float, width: float) -> float:
 
 @dataclass(frozen=True)
 class Held:
-    """A circuit held with given numbers in the urns; arrays by urn.
+    """A circuit held stationary with given numbers in the urns; arrays by urn.
 
     Attributes
     ----------
     entries, across : densities F and H by polynomial, shape (urn, polynomial).
     passing : q at the nodes of `fate.directions`, shape (urn, node).
-    in_urn, in_half : how many are in the urns, and with their half of the channels.
-    through : what passes each gate per unit time.
+    in_urn, in_half : numbers in the urns, and in the halves.
+    through : flow through each gate per unit time.
     """
 
     entries: Floats
@@ -177,12 +179,12 @@ class Held:
 
     @property
     def possible(self) -> bool:
-        """Whether all flows are positive: an urn cannot hold fewer than channel 2 keeps in it."""
+        """Whether all flows are positive: an urn holds at least what channel 2 brings."""
         return bool(self.entries[:, 0].min() > 0.0 and self.across[:, 0].min() > 0.0)
 
     @property
     def sent(self) -> Floats:
-        """What each half sends to the other per unit time."""
+        """Flow from each half to the other per unit time."""
         return self.through + np.maximum(self.across[:, 0], 0.0)
 
 
@@ -207,7 +209,7 @@ class Directions:
         self.stays = half / np.sqrt((1.0 - self.sine) * (1.0 + self.sine))
 
     def held(self, share: float, start: Held | None = None) -> Held:
-        """Return the circuit held with all N, the share of those in urns that is in urn 1 given.
+        """Return the circuit held with N particles, given urn 1's share of those in urns.
 
         `start` is a neighbouring solution to begin with.
         """
@@ -236,11 +238,11 @@ class Directions:
         return found
 
     def _flows(self, passing: Floats, parts: Floats) -> tuple[Floats, Floats]:
-        """Return F and H with fates q and `parts` in the urns: linear equations."""
+        """Return F and H for given q and `parts` in the urns: linear equations."""
         size = POLYNOMIALS
         gate = [(self.basis * (self.weights * one)) @ self.basis.T for one in passing]
         unit = np.eye(size)
-        source = np.zeros((size, 4 * size))  # into urn 1 by the cosine law, what it is short of
+        source = np.zeros((size, 4 * size))  # the difference of flows, by the cosine law
         source[0, :size], source[0, size : 2 * size] = gate[0][0], -gate[1][0]
         source[0, 2 * size], source[0, 3 * size] = 1.0, -1.0
         rows, held = [], []
@@ -267,7 +269,7 @@ class Directions:
     def _with_fates(
         self, entries: Floats, across: Floats, parts: Floats, before: Floats | None = None
     ) -> Held:
-        """Return flows with the fates that they make, some of those of `before` kept."""
+        """Return flows with the q that they determine, mixed with those of `before`."""
         density = np.maximum(entries @ self.basis, 0.0) * self.weights
         rates = np.maximum(density.sum(axis=1), 1e-300)
         loads = density @ self.stays
@@ -290,7 +292,7 @@ class Directions:
 
 
 def _shares() -> Floats:
-    """Return shares of urn 1 at which a circuit is held, falling from next to 1/2."""
+    """Return shares of urn 1 at which a circuit is held, decreasing from almost 1/2."""
     even = np.linspace(0.5 * (1.0 - NEXT_TO_EQUAL), 0.1, EVENLY)
     return np.concatenate([even, np.geomspace(0.1, LEAST_SHARE, FALLING + 1)[1:]])
 
@@ -301,9 +303,9 @@ def _excess(held: Held) -> float:
 
 @lru_cache(maxsize=8)
 def scan(circuit: Circuit) -> tuple[tuple[float, Held], ...]:
-    """Return (share of urn 1, the circuit held there), the share falling; past 1/2 if unlike.
+    """Return (share of urn 1, circuit held there) for decreasing shares; also above 1/2 if unequal.
 
-    States, flows and what is sent come from it: it is kept for those who ask next.
+    States, flows and outflows are computed from it, so it is cached.
     """
     equations, shares = Directions(circuit), list(_shares())
     if not circuit.alike:
@@ -324,14 +326,14 @@ def scan(circuit: Circuit) -> tuple[tuple[float, Held], ...]:
 
 
 def growth(circuit: Circuit) -> float:
-    """Return what has the sign of the growth of a small difference between equal urns."""
+    """Return a number with the sign of the growth of a small difference between equal urns."""
     return _excess(Directions(circuit).held(0.5 * (1.0 - NEXT_TO_EQUAL)))
 
 
 def homogeneous_kind(circuit: Circuit) -> str:
     """Return whether the state with equal densities is "stable" or "unstable".
 
-    Unlike circuits: of the state that is nearest to it.
+    For unequal urns or gates: of the state that is nearest to it.
     """
     if float(circuit.channel2_width) == 0.0 and float(circuit.threshold) == 0.0:
         return "neutral"
@@ -344,7 +346,7 @@ def homogeneous_kind(circuit: Circuit) -> str:
 
 
 def _held_states(circuit: Circuit) -> list[tuple[Held, str]]:
-    """Return the circuit held in each of its states, and what kind that is."""
+    """Return the circuit held in each of its states, and the kind of the state."""
     equations, found = Directions(circuit), []
     for (one, here), (other, there) in pairwise(scan(circuit)):
         before, after = _excess(here), _excess(there)
@@ -356,7 +358,7 @@ def _held_states(circuit: Circuit) -> list[tuple[Held, str]]:
         def excess(
             share: float, latest: list[Held] = latest, ends: dict[float, float] = ends
         ) -> float:
-            if share in ends:  # as found before: iterated from elsewhere it might differ
+            if share in ends:  # iterated from another start it might differ
                 return ends[share]
             latest[0] = equations.held(share, latest[0])
             return _excess(latest[0])
@@ -372,7 +374,7 @@ def _circulating(circuit: Circuit, held: Held, age: ArrayLike = math.inf) -> Flo
 
 
 def stationary_states(circuit: Circuit) -> list[State]:
-    """Return all states of a circuit, of equal urns those with N2 > N/2 (chi above 0.02)."""
+    """Return all states of a circuit, for equal urns those with N2 > N/2 (chi above 0.02)."""
     number, found = float(circuit.number), []
     for held, kind in _held_states(circuit):
         around, second = float(_circulating(circuit, held)), float(held.in_half[1])
@@ -393,9 +395,9 @@ def by_age(circuit: Circuit, ages: Sequence[float]) -> list[dict[str, float]]:
 
 
 def flows(circuit: Circuit, number2: float) -> Floats:
-    """Return what channels 1 and 2 carry from urn 1 to 2 and back where N2 is `number2`.
+    """Return the flows of channels 1 and 2 from urn 1 to 2 and back at N2 = `number2`.
 
-    Per unit time, shape (channel, way); without what circulates. From the places of `scan`.
+    Per unit time, shape (channel, way); without circulation. Interpolated between points of `scan`.
     """
     held = [one for _, one in scan(circuit)]
     second = np.array([one.in_half[1] for one in held])
@@ -407,7 +409,7 @@ def flows(circuit: Circuit, number2: float) -> Floats:
 
 
 def outflows(circuit: Circuit) -> tuple[Floats, Floats]:
-    """Return N2 and the logarithms of what halves send each other, as `two_port.outflows`."""
+    """Return N2 and the logarithms of the flows between the halves, as `two_port.outflows`."""
     held = [one for _, one in scan(circuit)]
     second = np.array([one.in_half[1] for one in held])
     sent = np.log(np.maximum(np.array([one.sent for one in held]).T, 1e-300))

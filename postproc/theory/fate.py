@@ -1,24 +1,25 @@
-"""What a gate does to a particle that is inside for a given time, under any law of stays.
+"""Probability that a particle with a given stay passes a gate, for any distribution of stays.
 
 The gate is the queue of `renewal`: entries at rate e, each inside for a stay sigma, and an entry
-that finds T inside empties it. Exact are, with C the mean time between emptyings and q(sigma) the
-chance to get through,
+that finds T inside empties it. With C the mean time between emptyings and q(sigma) the probability
+to pass, it is exact that
 
     <q> = 1 - (T + 1)/(e C)         q(sigma) = (1 - 1/(e C)) S(sigma)         S(0) = 1
 
-since one entrant in e C is the one that empties it; S is the chance that nobody does within the
-stay. T = 1 is closed: S = exp(-e sigma), <q> = p/(2 - p) with p = <exp(-e sigma)>.
+since one entrant in e C empties it; S is the probability that no later entry does within the stay.
+T = 1 is solved in closed form: S = exp(-e sigma), <q> = p/(2 - p) with p = <exp(-e sigma)>.
 
-For T > 1 both C and S come from equations of first passage. The number inside at t after an
-emptying would be Poisson, of mean m(t) = e times the integral of the chance to be inside still,
-were nobody turned; the rate at which entries find T there is u(t) = e P(number = T), and
+For T > 1 both C and S are from equations of first passage. Without reversals the number inside at
+the time t after an emptying would be Poisson, with the mean m(t) = e times the integral of the
+probability to be still inside; the rate at which entries find T inside is u(t) = e P(number = T),
+and
 
     u(t) = f(t) + integral of f(t') u(t | t') dt',
 
-f(t) the density of the first such entry, u(t | t') the rate after one at t'. It is closed by taking
-those T that it found as any T that came since the emptying, each independently: exact for T = 1.
-What this approximates is small, and smaller still in what it is used for, the *difference* between
-the law of stays at hand and the cosine law; for the latter `renewal` knows <q>.
+f(t) the density of the first such entry, u(t | t') the rate after one at t'. As a closure the T
+particles that it finds are taken as any T that have entered since the emptying, each independently:
+exact for T = 1. The error of this is small, and smaller still for its use, the *difference* between
+the given distribution of stays and the cosine law; for the latter <q> is that of `renewal`.
 """
 
 from __future__ import annotations
@@ -38,8 +39,8 @@ if TYPE_CHECKING:
 
 ANGLES = 24
 STEPS, LAST = 64, 6.0  # of the time axis, and its end in shortest stays
-CLOSED = 0.01  # least overall share of which first passages know how the law of stays changes it
-FREE = 1.0 - 1e-12  # overall share from which everyone passes
+CLOSED = 0.01  # least overall share at which the correction is from first passages
+FREE = 1.0 - 1e-12  # overall share above which all particles pass
 STEEPEST = 60.0  # power of S
 SMALL = 1e-200
 
@@ -62,14 +63,14 @@ def directions(count: int = ANGLES) -> tuple[Floats, Floats]:
 
 
 def passing(threshold: int, rate: float, stays: Floats, shares: Floats) -> Floats:
-    """Return the chance to get through a gate, for each of `stays`.
+    """Return the probability to pass a gate, for each of `stays`.
 
     Parameters
     ----------
     threshold : T.
     rate : entries per unit time.
-    stays : times inside, ascending; the first the shortest there can be, or near it.
-    shares : how many of the entries have each, shape of `stays`, sum 1.
+    stays : times inside, ascending; the first is the shortest possible one, or close to it.
+    shares : share of the entries with each stay, shape of `stays`, sum 1.
     """
     if threshold == 0:
         return np.zeros(stays.size)
@@ -85,17 +86,17 @@ def passing(threshold: int, rate: float, stays: Floats, shares: Floats) -> Float
     def excess(power: float) -> float:
         return float(shares @ np.exp(power * log_alone)) * entering - overall
 
-    if not excess(0.0) > 0.0:  # next to nobody is thrown out
+    if not excess(0.0) > 0.0:  # hardly any particle is reversed
         return np.full(stays.size, overall)
     power = optimize.brentq(excess, 0.0, STEEPEST) if excess(STEEPEST) < 0.0 else STEEPEST
     return entering * np.exp(power * log_alone)
 
 
 def overall_share(threshold: int, rate: float, stays: Floats, shares: Floats) -> float:
-    """Return <q>: the cosine law's at this load, corrected for the law of stays.
+    """Return <q>: that of the cosine law at this load, corrected for the distribution of stays.
 
-    First passages know the correction down to shares of `CLOSED`; below, it stays what it is there,
-    so that shares have no jump.
+    First passages give the correction down to shares of `CLOSED`; below, it is constant, so that
+    shares are continuous.
     """
     mean_stay = float(shares @ stays)
     load = rate * mean_stay
@@ -116,7 +117,7 @@ def overall_share(threshold: int, rate: float, stays: Floats, shares: Floats) ->
 
 @cache
 def _closed_load(threshold: int) -> float:
-    """Return the load at which a gate lets the share `CLOSED` pass."""
+    """Return the load at which the share `CLOSED` passes a gate."""
     goal = special.logit(CLOSED)
     return float(
         optimize.brentq(lambda load: float(RENEWAL.logit(threshold, load)) - goal, 1e-3, 1e6)
@@ -124,22 +125,22 @@ def _closed_load(threshold: int) -> float:
 
 
 def _lasting(stays: Floats, shares: Floats, time: Floats) -> tuple[Floats, Floats]:
-    """Return the chance to be inside still at a time after entry, and its integral up to there."""
-    kept = (time[:, None] < stays) @ shares
-    return kept, np.minimum(time[:, None], stays) @ shares
+    """Return the probability to be still inside at a time after entry, and its integral."""
+    staying = (time[:, None] < stays) @ shares
+    return staying, np.minimum(time[:, None], stays) @ shares
 
 
 def _poisson(count: Floats, mean: Floats) -> Floats:
-    """Return the chance of a Poisson number of that mean; 0 for counts below 0."""
+    """Return the probability of a Poisson number of that mean; 0 for counts below 0."""
     at = np.maximum(count, 0)
     chance = np.exp(special.xlogy(at, mean) - mean - special.gammaln(at + 1.0))
     return np.where(count >= 0, chance, 0.0)
 
 
 def _meeting(others: int, survive: Floats, last: Floats, mean: Floats, level: int) -> Floats:
-    """Return P(binomial(others, survive) + one of chance `last` + Poisson(mean) = level).
+    """Return P(binomial(others, survive) + Bernoulli(last) + Poisson(mean) = level).
 
-    Arrays of shape (case,); summed over how many of the others are left.
+    Arrays of shape (case,); summed over the number of the others that are left.
     """
     k = np.arange(min(others, level) + 1)[:, None]
     log_binomial = special.gammaln(others + 1.0)
@@ -158,7 +159,7 @@ def _thrown_out(threshold: int, rate: float, stays: Floats, shares: Floats) -> f
     """Return (T + 1)/(e C) by the equation of first passage from an empty gate."""
     time = np.linspace(0.0, LAST * stays.min(), STEPS + 1)
     step = time[1]
-    kept, filled = _lasting(stays, shares, time)
+    staying, filled = _lasting(stays, shares, time)
     _, longer = _lasting(stays, shares, np.concatenate([time, time[1:] + time[-1]]))
     meet = rate * _poisson(np.float64(threshold), rate * filled)
     first = np.zeros(STEPS + 1)
@@ -168,7 +169,7 @@ def _thrown_out(threshold: int, rate: float, stays: Floats, shares: Floats) -> f
     survive = (longer[row] - filled[since]) / filled[column]
     again = np.zeros((STEPS + 1, STEPS + 1))
     again[row, column] = rate * _meeting(
-        threshold, np.clip(survive, 0.0, 1.0), kept[since], rate * filled[since], threshold
+        threshold, np.clip(survive, 0.0, 1.0), staying[since], rate * filled[since], threshold
     )
     for at in range(1, STEPS + 1):
         first[at] = max(meet[at] - step * again[at, :at] @ first[:at], 0.0)
@@ -182,16 +183,16 @@ def _thrown_out(threshold: int, rate: float, stays: Floats, shares: Floats) -> f
 
 
 def _undisturbed(threshold: int, rate: float, stays: Floats, shares: Floats, full: float) -> Floats:
-    """Return S, the chance that nobody empties the gate within a stay, up to a power near 1.
+    """Return S, the probability that no entry empties the gate within a stay, up to a power near 1.
 
-    The others of one who entered must not reach T. At first there are k < T by the stationary law
-    of a queue with exponential stays whose chance to be full is `full`, with what is left of their
-    stays as in a queue that nobody empties.
+    The number of other particles must not reach T. At the entry there are k < T, distributed as in
+    a stationary queue with exponential stays that is full with the probability `full`; their
+    residual stays are those of a queue that is not emptied.
     """
     mean_stay = float(shares @ stays)
     time = np.linspace(0.0, LAST * stays.min(), STEPS + 1)
     step = time[1]
-    kept, filled = _lasting(stays, shares, time)
+    staying, filled = _lasting(stays, shares, time)
     residual, level = 1.0 - filled / mean_stay, threshold - 1
     found = _found(threshold, rate * mean_stay, full)[:threshold]
     found = found / found.sum()
@@ -200,7 +201,7 @@ def _undisturbed(threshold: int, rate: float, stays: Floats, shares: Floats, ful
         weight * _meeting(k, residual, np.zeros(time.size), mean, level)
         for k, weight in enumerate(found)
     )
-    again = rate * _meeting(level, residual, kept, mean, level)
+    again = rate * _meeting(level, residual, staying, mean, level)
     first = np.zeros(time.size)
     for at in range(time.size):
         first[at] = max(meet[at] - step * again[at:0:-1] @ first[:at], 0.0)
@@ -212,10 +213,10 @@ def _undisturbed(threshold: int, rate: float, stays: Floats, shares: Floats, ful
 
 
 def _found(threshold: int, load: float, full: float) -> Floats:
-    """Return chances to find 0 ... T inside: exponential stays, a load that makes P(T) `full`."""
+    """Return probabilities of 0 ... T inside, for exponential stays and a load with P(T) = full."""
 
     def law(x: float) -> Floats:
-        # what flows up from k comes down from k + 1 or by an emptying: p_k in units of p_T
+        # the flow up from k returns from k + 1 or by an emptying: p_k in units of p_T
         chances = np.zeros(threshold + 1)
         chances[threshold] = 1.0
         for k in range(threshold - 1, -1, -1):

@@ -1,9 +1,9 @@
-"""How much of what enters a gate gets through it: the paper's window, and its interface.
+"""Share of entries that gets through a gate: the paper's window, and the interface of gates.
 
 A gate sees Poisson entries at rate nu, each inside for (l/2)/cos(theta) (speed 1, cosine law), on
 average tau = pi l/4. Its *load* x = nu tau = n w l/(4A) is the paper's lambda, eq. (eqapp3), the
-mean number inside if nothing were turned back. A gate model gives the share of the entries that
-gets through at a load, and the slope of load times share, which decides on stability.
+mean number inside without reversals. A gate model gives the share of the entries that gets through
+at a load, and the slope of load times share, which determines stability.
 
 Source: Cirillo, Colangeli, Richardson, Rondoni, PRE 103, 032119 (2021), appendix.
 """
@@ -18,7 +18,7 @@ from scipy import special
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
-TINY = 1e-280  # below it the incomplete gamma function is followed by its logarithm
+TINY = 1e-280  # below it the logarithm of the incomplete gamma function is computed directly
 FRACTION_LEVELS = 200
 
 
@@ -48,7 +48,7 @@ class WindowGate:
         return np.where(count > 0, special.gammaincc(np.maximum(count, 1.0), x), 0.0)
 
     def log_share(self, threshold: ArrayLike, load: ArrayLike) -> NDArray[np.float64]:
-        """Return log Q(T, x), good where Q itself underflows."""
+        """Return log Q(T, x), accurate also if Q underflows."""
         count, x = _as_floats(threshold, load)
         share = self.share(count, x)
         far = (share < TINY) & (count > 0) & (x > count)

@@ -1,8 +1,8 @@
-"""Answers of theories that cost seconds, kept under build/ for the next picture.
+"""Cache under build/ of results of theories that take seconds.
 
-A file an answer, named by what it depends on: the question, the circuit, the program that is asked
-and the modules of this package. It says so inside as well. So nothing that is old, damaged, or
-somebody else's is ever believed.
+Each result has a file, named by all that it depends on: the question, the circuit, the program used
+and the modules of this package. The file contains this key as well. So a result that is old,
+damaged, or of another circuit is never used.
 """
 
 from __future__ import annotations
@@ -26,16 +26,16 @@ PLACE = FOLDER.parent / "theory"
 
 
 def kept(question: str, circuit: Circuit, compute: Callable[[], object]) -> object:
-    """Return what `compute` says, as JSON has it, from an earlier time if it was asked before.
+    """Return the result of `compute`, as JSON has it, from the cache if it was computed before.
 
-    Where nothing can be written nothing is kept.
+    If the folder is not writable nothing is stored.
     """
-    asked = f"{question} {circuit!r} {_version()}"
-    path = PLACE / f"{hashlib.sha256(asked.encode()).hexdigest()}.json"
+    key = f"{question} {circuit!r} {_version()}"
+    path = PLACE / f"{hashlib.sha256(key.encode()).hexdigest()}.json"
     try:
-        told = json.loads(path.read_text(encoding="utf-8"))
-        if told["asked"] == asked:
-            return told["found"]
+        stored = json.loads(path.read_text(encoding="utf-8"))
+        if stored["asked"] == key:
+            return stored["found"]
     except (OSError, ValueError, KeyError, TypeError):
         pass
     with doing(f"{' '.join(question.split()[:2])}, {circuit.brief}"):
@@ -44,7 +44,7 @@ def kept(question: str, circuit: Circuit, compute: Callable[[], object]) -> obje
         if FOLDER.is_dir():
             PLACE.mkdir(exist_ok=True)
             half = path.with_suffix(f".{os.getpid()}")
-            half.write_text(json.dumps({"asked": asked, "found": found}), encoding="utf-8")
+            half.write_text(json.dumps({"asked": key, "found": found}), encoding="utf-8")
             half.replace(path)
     except OSError:
         pass
@@ -53,9 +53,9 @@ def kept(question: str, circuit: Circuit, compute: Callable[[], object]) -> obje
 
 @cache
 def _version() -> str:
-    """Return what tells this program and these modules from others."""
-    told = hashlib.sha256()
+    """Return a digest of the program and of the modules."""
+    digest = hashlib.sha256()
     for path in sorted([*Path(__file__).parent.glob("*.[pj]*"), FOLDER / "one_particle"]):
         if path.is_file():
-            told.update(path.read_bytes())
-    return told.hexdigest()
+            digest.update(path.read_bytes())
+    return digest.hexdigest()

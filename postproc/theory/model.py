@@ -1,7 +1,7 @@
-"""What a theory of the circuit is asked, by whatever name it has in `theory.models`.
+"""Common interface of the theories in `theory.models`.
 
-Who asks leaves out what a theory has no answer to (`None`, NaN, no level, `Model.refusal`). Answers
-that take seconds are kept for the next time (`kept`), but for those of `solve`, which are timed.
+Callers leave out quantities that a theory does not have (`None`, NaN, no level, `Model.refusal`).
+Results that take seconds are cached (`kept`), except for those of `solve`, which are timed.
 """
 
 from __future__ import annotations
@@ -43,9 +43,9 @@ if TYPE_CHECKING:
     Floats = NDArray[np.float64]
 
 STRONGEST = 4.0  # load of a gate over T at which a transition is a jump, whatever T
-STEPS = 20  # places on a line of transition from one whole T to the next
-WIDTHS = 400  # places between w' = 0 and 2r where a transition is looked for
-FEW_WIDTHS = 13  # of a theory that takes longer, as far as well mixed urns have a line
+STEPS = 20  # points on a line of transition from one integer T to the next
+WIDTHS = 400  # values between w' = 0 and 2r at which a transition is searched for
+FEW_WIDTHS = 13  # for a slower theory, within the line of well mixed urns
 
 
 def _no_extras(_: Circuit) -> dict[str, object]:
@@ -54,29 +54,29 @@ def _no_extras(_: Circuit) -> dict[str, object]:
 
 @dataclass(frozen=True)
 class Model:
-    """A theory as it is asked for by name.
+    """A theory with its name.
 
     Attributes
     ----------
-    name : on command lines and in files.
-    label : in legends and tables.
-    meaning : what it is, in a line.
-    use : when to ask it, in a line.
-    seconds : of a processor that a state takes at N = 1000, at least.
+    name : name on command lines and in files.
+    label : name in legends and tables.
+    meaning : description, in a line.
+    use : when to use it, in a line.
+    seconds : processor time of a state at N = 1000, at least.
     dashes : style of its lines.
     mark, colour : of its point in charts of error against cost; the colour's name in
         `figures.style`.
-    adds_to : name of the theory all of whose physics it has; "": none.
-    changes : what it makes of a circuit, fields by name.
-    theory : what it says of circuits with equal urns and gates.
-    unlike : what it says of others; None: nothing.
+    adds_to : name of the theory whose physics it contains; "": none.
+    changes : fields of a circuit that it changes, by name.
+    theory : its functions for circuits with equal urns and gates.
+    unlike : its functions for other circuits; None: it has none.
     mixed : whether its urns are well mixed and its states are zeros of eta. Then it has an eta, the
-        line of eq. (transition), a tricritical point, and says something of the single urn.
-    draws : whether it draws numbers, so that its answers have errors.
-    program : that it asks; "": none.
-    largest : N up to which it is asked.
-    extras : what it prints besides.
-    by_age : net current of runs of each age in the most polarised stable state; None: not told.
+        line of eq. (transition), a tricritical point, and applies to the single urn.
+    draws : whether it uses random numbers, so that its results have errors.
+    program : program that it runs; "": none.
+    largest : largest N to which it is applied.
+    extras : further output.
+    by_age : net current of runs of each age in the most polarised stable state; None: it has none.
     """
 
     name: str
@@ -100,7 +100,7 @@ class Model:
 
     @property
     def has_rates(self) -> bool:
-        """Whether it says what an urn sends at any N2: an eta, and a chain of lifetimes."""
+        """Whether it has outflows at any N2, so an eta and a chain of lifetimes."""
         return self.mixed or self.theory.outflows is not None
 
     @property
@@ -110,39 +110,39 @@ class Model:
 
     @property
     def answers(self) -> list[str]:
-        """What it says something of besides the states of two equal urns, in words."""
-        told = (
+        """Its results besides the states of two equal urns, in words."""
+        abilities = (
             (self.unlike is not None, "unequal urns"),
             (self.has_rates, "eta, lifetimes"),
             (self.has_line, "line of transition"),
             (self.mixed, "tricritical point, single urn, polygons"),
             (self.by_age is not None, "age of a run"),
         )
-        return [words for known, words in told if known]
+        return [words for known, words in abilities if known]
 
     def refusal(self, circuit: Circuit) -> str:
-        """Return why it says nothing of a circuit; empty: it does."""
+        """Return why it does not apply to a circuit; empty: it does."""
         if circuit.shape != "circuit" and not self.mixed:
             return f"theory {self.name}: of the single urn it says nothing"
         if self.unlike is None and not circuit.alike:
-            return f"theory {self.name}: it wants two equal urns and gates"
+            return f"theory {self.name}: it needs two equal urns and gates"
         if self.largest < math.inf and float(circuit.number) > self.largest:
             return f"theory {self.name}: it is asked up to N = {self.largest:g}"
         return absence(self.program) if self.program else ""
 
     def of(self, circuit: Circuit) -> Circuit:
-        """Return the circuit as this theory has it; raise `InputError` if it refuses."""
+        """Return the circuit for this theory; raise `InputError` if it does not apply."""
         circuit.need_empty_channels()
         if refused := self.refusal(circuit):
             raise InputError(refused)
         return replace(circuit, **self.changes)
 
     def theory_of(self, circuit: Circuit) -> Theory:
-        """Return what answers about a circuit, by whether its urns and gates are alike."""
+        """Return the functions for a circuit, depending on whether urns and gates are equal."""
         return self.theory if self.unlike is None or circuit.alike else self.unlike
 
     def solve(self, circuit: Circuit) -> list[State]:
-        """Return all states with N2 > N/2, worked out now."""
+        """Return all states with N2 > N/2, computed without the cache."""
         return self.theory_of(circuit).states(self.of(circuit))
 
     def solve_stable(self, circuit: Circuit) -> list[State]:
@@ -150,19 +150,19 @@ class Model:
         return [state for state in self.solve(circuit) if state.kind == "stable"]
 
     def states(self, circuit: Circuit) -> list[State]:
-        """Return all states with N2 > N/2, from an earlier time if they take seconds."""
-        found = self._kept("states", circuit, lambda: [vars(one) for one in self.solve(circuit)])
+        """Return all states with N2 > N/2, from the cache if they take seconds."""
+        found = self._cached("states", circuit, lambda: [vars(one) for one in self.solve(circuit)])
         return [State(**one) for one in found]
 
     def homogeneous_kind(self, circuit: Circuit) -> str:
         """Return the kind of the state with equal densities."""
         own, theory = self.of(circuit), self.theory_of(circuit)
-        return str(self._kept("kind", circuit, lambda: theory.homogeneous_kind(own)))
+        return str(self._cached("kind", circuit, lambda: theory.homogeneous_kind(own)))
 
-    def _kept(
+    def _cached(
         self, what: str, circuit: Circuit, compute: Callable[[], object], at: object = ""
     ) -> object:
-        """Return what `compute` says, from an earlier time unless it is quick."""
+        """Return the result of `compute`, from the cache unless it is fast."""
         if self.mixed:
             return compute()
         return kept(f"{what} {self.name} {at}", self.of(circuit), compute)
@@ -185,14 +185,14 @@ class Model:
         return min(stable, key=lambda number: abs(number - number2))
 
     def eta(self, circuit: Circuit, number2: ArrayLike) -> Floats:
-        """Return eta of eq. (eq007), what urn 2 gains (per unit time); NaN if it is not told."""
+        """Return eta of eq. (eq007), the gain of urn 2 (per unit time); NaN if it has none."""
         second = np.asarray(number2, float)
         if not self.has_rates:
             return np.full(second.shape, math.nan)
         if self.mixed:
             return eta(self.of(circuit), second)
         places, sent = self.theory.outflows(self.of(circuit))
-        # what each urn sends is smooth and keeps its sign; their difference has peaks in between
+        # the outflow of each urn is smooth and positive; their difference has peaks in between
         one, two = np.exp(between(places, sent, second))
         known = (second >= places.min()) & (second <= places.max())
         return np.where(known, one - two, math.nan)
@@ -200,13 +200,13 @@ class Model:
     def levels(self, circuit: Circuit, number2: float) -> dict[str, float]:
         """Return flows and net current (per unit time) of the stable state nearest to `number2`.
 
-        By name: flow1_12 ... flow2_21 as in results, and "net", that of channel 2 by its size. What
-        circulates is part of them: it goes from the fuller urn through channel 2.
+        By name: flow1_12 ... flow2_21 as in results, and "net", the absolute net current of channel
+        2. Circulation is included: it goes from the fuller urn through channel 2.
         """
         own, second = self.of(circuit), self.nearest_stable(circuit, number2)
         carried = self.theory.flows or _carried
         flows = np.array(
-            self._kept("flows", circuit, lambda: carried(own, second).tolist(), second)
+            self._cached("flows", circuit, lambda: carried(own, second).tolist(), second)
         )
         states = self.states(circuit)
         pairs = [abs(second - one.urn2_number) for one in states]
@@ -228,9 +228,10 @@ class Model:
     def transition_line(self, circuit: Circuit, first: int, last: int) -> tuple[Floats, Floats]:
         """Return (T, w') along the line of transition, eq. (transition), from one T to another.
 
-        w' is the least at which the homogeneous state turns stable, NaN where there is none. It is
-        what it is at whole T only: in between, what decides on stability is interpolated. Beyond
-        its last T the homogeneous state is stable without channel 2, so the line ends at w' = 0.
+        w' is the least at which the homogeneous state becomes stable, NaN if there is none. It is
+        exact at integer T only: in between, the function that determines stability is interpolated.
+        Beyond its last T the homogeneous state is stable without channel 2, so the line ends at w'
+        = 0.
         """
         own, whole = self.of(circuit), np.arange(max(first, 1), last + 1)
         if not self.has_line:
@@ -246,18 +247,18 @@ class Model:
         return _line(own, whole, widths, self._stability, label)
 
     def _stability(self, circuit: Circuit, widths: Floats) -> Floats:
-        """Return what is negative at the w' where the homogeneous state is unstable."""
-        asked = [replace(circuit, channel2_width=float(one)) for one in widths]
-        found = self._kept(
+        """Return a function of w' that is negative where the homogeneous state is unstable."""
+        circuits = [replace(circuit, channel2_width=float(one)) for one in widths]
+        found = self._cached(
             "growth", circuit,
-            lambda: [self.theory.growth(one) for one in each(asked, "w'")], widths.tolist(),
+            lambda: [self.theory.growth(one) for one in each(circuits, "w'")], widths.tolist(),
         )  # fmt: skip
         return -np.array(found, float)
 
     def tricritical_place(self, circuit: Circuit) -> tuple[float, float] | None:
-        """Return (T, w') on the line of transition at this N where a jump turns continuous.
+        """Return (T, w') on the line of transition at this N where a jump becomes continuous.
 
-        None where there is none, or the theory does not tell. Between whole T it is interpolated.
+        None if there is none, or the theory does not have it. It is interpolated between integer T.
         """
         if not self.mixed:
             return None
@@ -277,14 +278,14 @@ class Model:
         return single_urn_current(self.of(urn))
 
     def passage_times(self, circuit: Circuit, low: float, high: float) -> tuple[float, float]:
-        """Return how long homogeneous and polarised state last by the chain (length/v).
+        """Return the lifetimes of homogeneous and polarised state by the chain (length/v).
 
-        NaN if it has none, or of one particle, which is always polarised.
+        NaN if it has none, or for one particle, which is always polarised.
         """
         if not self.has_rates or circuit.number < 2:
             return math.nan, math.nan
         own = self.of(circuit)
-        one, two = self._kept(
+        one, two = self._cached(
             "passages", circuit,
             lambda: passage_times(own, low, high, theory=self.theory), (low, high),
         )  # fmt: skip
@@ -292,7 +293,7 @@ class Model:
 
 
 def _carried(circuit: Circuit, number2: float) -> Floats:
-    """Return what channels 1 and 2 carry from urn 1 to 2 and back, by well mixed urns."""
+    """Return the flows of channels 1 and 2 from urn 1 to 2 and back, for well mixed urns."""
     held = np.array([float(circuit.number) - number2, number2])
     return np.stack([flow1(circuit, held), flow2(circuit, held)])
 
@@ -303,7 +304,7 @@ def _mixed_line(circuit: Circuit, whole: NDArray[np.int_], label: str) -> tuple[
 
 
 def _mixed_stability(circuit: Circuit, widths: Floats) -> Floats:
-    """Return the change with N1 of what an urn sends out, but for a positive factor."""
+    """Return the derivative of an urn's outflow by N1, up to a positive factor."""
     at_width = replace(circuit, channel2_width=widths)
     load = gate_load(at_width, in_urn(at_width, 0.5 * float(circuit.number)))
     return widths + float(circuit.channel1_width) * circuit.gate.slope(circuit.threshold, load)
@@ -313,7 +314,7 @@ def _line(
     circuit: Circuit, whole: NDArray[np.int_], widths: Floats,
     stability: Callable[[Circuit, Floats], Floats], label: str,
 ) -> tuple[Floats, Floats]:  # fmt: skip
-    """Return (T, w') of the line, from the stability of a circuit at each whole T and each w'."""
+    """Return (T, w') of the line, from the stability of a circuit at each integer T and each w'."""
     values = np.array(
         [stability(replace(circuit, threshold=int(one)), widths) for one in each(whole, label)]
     )
@@ -331,7 +332,7 @@ def _where_zero(thresholds: Floats, widths: Floats, values: Floats) -> tuple[Flo
     low, high = values[row, at], values[row, at + 1]
     share = low / np.where(crossed, low - high, 1.0)
     line = np.where(crossed, widths[at] + share * (widths[at + 1] - widths[at]), math.nan)
-    line = np.where(values[:, 0] == 0.0, 0.0, line)  # too small for any number
+    line = np.where(values[:, 0] == 0.0, 0.0, line)  # underflow
     start = values[:, 0]
     for one in np.flatnonzero((start[:-1] < 0.0) & (start[1:] > 0.0))[::-1]:
         share = start[one] / (start[one] - start[one + 1])

@@ -1,6 +1,6 @@
-"""The theories by name, each declared once: whoever offers, asks, draws or prices them reads this.
+"""The theories by name, each declared once, for command lines, figures and benchmarks.
 
-In the order of what they cost. What a declaration says is told by `model.Model`.
+They are in the order of cost. For the fields of a declaration see `model.Model`.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ def _line_of_two_ports(circuit: Circuit) -> float:
 
 
 def _of_ports(circuit: Circuit) -> dict[str, object]:
-    """Return what the urns remember, of an urn or, if they are unlike, of urns 1 and 2."""
+    """Return the ports of an urn or, if they are unequal, of urns 1 and 2."""
     found = [ports.disc(side) for side in circuit.sides]
     names = {"return_chance": "return_chance", "stay1": "stay1", "stay2": "stay2"}
     if circuit.alike:
@@ -40,7 +40,7 @@ def _of_ports(circuit: Circuit) -> dict[str, object]:
 
 
 def _walked_kind(circuit: Circuit) -> str:
-    """Return what becomes of equal shares: walkers tell, of equal urns that are open to each."""
+    """Return the kind of the homogeneous state by walkers, for equal urns with open channels."""
     if circuit.alike and float(circuit.channel2_width) > 0.0 and float(circuit.threshold) > 0.0:
         return one_particle.homogeneous_kind(circuit)
     return two_port.homogeneous_kind(circuit)
@@ -112,7 +112,7 @@ MODELS = {model.name: model for model in DECLARED}
 
 
 def guide() -> list[str]:
-    """Return the lines of a table of all theories, in Markdown: when to ask which."""
+    """Return the lines of a table of all theories and their use, in Markdown."""
     lines = ["| `--model` | label | what it is | time per state | also computes | use it for |",
              "| --- | --- | --- | --- | --- | --- |"]  # fmt: skip
     for one in MODELS.values():
@@ -125,13 +125,13 @@ def guide() -> list[str]:
 
 
 def ancestry(name: str) -> tuple[str, ...]:
-    """Return a theory's name behind those all of whose physics it has, the simplest first."""
+    """Return a theory's name after those whose physics it contains, the simplest first."""
     before = MODELS[name].adds_to
     return (*ancestry(before), name) if before else (name,)
 
 
 def describe(circuit: Circuit, model: Model) -> dict[str, object]:
-    """Return what a model says of one circuit, as the command line prints it."""
+    """Return a model's results for one circuit, as the command line prints them."""
     own, theory = model.of(circuit), model.theory_of(circuit)
     return finite(
         {

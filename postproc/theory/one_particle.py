@@ -1,14 +1,14 @@
-"""One-particle theory: one particle with exact visits between gates made of all the others.
+"""One-particle theory: exact visits of a particle, and gates filled by independent others.
 
-The program `one_particle` (app/one_particle) lets walkers fly exact visits in several copies of the
-circuit; whoever enters a gate does so in a copy drawn by chance. So every gate is a renewal gate at
-the walkers' own rate, with their own stays, and no number comes from a run. One copy would be the
-circuit itself. Two are the fewest in which those whom a gate turned back together do not meet
-again; their numbers fluctuate with half the variance of the circuit's. That matters next to a
-transition: with many copies chi is too large there, by up to 0.03 at N = 1000. chi and current are
-told, as in runs, of the urn that is the fuller one at the time. States are found by letting walkers
-go from several shares of the urns; unstable ones are not found. Errors are those of the mean of
-independent batches of walkers.
+The program `one_particle` (app/one_particle) moves walkers by exact visits in several copies of the
+circuit; a walker enters the gate of a random copy. So every gate is a renewal gate at the walkers'
+own rate, with their own stays, and no number is taken from a run. One copy would be the circuit
+itself. With two, the fewest, particles that a gate has reversed together do not meet again
+systematically; their numbers fluctuate with half the variance of the circuit's. That matters next
+to a transition: with many copies chi is too large there, by up to 0.03 at N = 1000. chi and current
+are, as in runs, those of the urn that is the fuller one at the time. States are found by starting
+walkers from several shares of the urns; unstable ones are not found. Errors are those of the mean
+of independent batches of walkers.
 """
 
 from __future__ import annotations
@@ -32,31 +32,31 @@ if TYPE_CHECKING:
 
     Floats = NDArray[np.float64]
 
-MOST_VISITS = 2e7  # from one start, all batches together: two to four seconds of a processor
-RELAXATIONS = 3.25  # directions are forgotten in 25 r^4/w^3
+MOST_VISITS = 2e7  # from one start, in all batches: two to four seconds of a processor
+RELAXATIONS = 3.25  # transient in relaxation times of directions, 25 r^4/w^3
 SHORTEST = 500.0  # transient in mean free paths, 2r
-COPIES = 2  # where states are looked for
-POOL = 4000  # walkers of a batch, at least, that tell whether equal shares last
-FEWEST_COPIES, MOST_COPIES = 4, 64  # then
+COPIES = 2  # for the search of states
+POOL = 4000  # least number of walkers of a batch for the stability of equal shares
+FEWEST_COPIES, MOST_COPIES = 4, 64  # for this stability
 BATCHES = 8
-LONGEST = 20.0  # transients that count
-EMPTIER = 0.05  # share of the emptier urn at a polarised start where no theory tells one
-BIAS = 0.02  # of the homogeneous start: what decays from there is stable
-RESOLUTION, STRIDE = 0.03, 1.25  # of a transition; relative steps until it lies between two
-POLARISED = 0.15  # chi from which on equal urns are called so
-APART = 4.0  # errors between states that are not the same
+LONGEST = 20.0  # measured time in transients, at most
+EMPTIER = 0.05  # share of the emptier urn at a polarised start if no theory has one
+BIAS = 0.02  # of the homogeneous start: if it decays the state is stable
+RESOLUTION, STRIDE = 0.03, 1.25  # of a transition; relative steps until it is bracketed
+POLARISED = 0.15  # chi above which equal urns are called so
+APART = 4.0  # standard errors between different states
 
 
 @dataclass(frozen=True)
 class Effort:
-    """How many walkers go how long.
+    """Number of walkers and duration.
 
     Attributes
     ----------
-    copies : of the circuit, N walkers to each.
-    batches : independent of each other; errors come from their scatter.
-    transient, duration : time before anything counts, and time that counts.
-    seed : of the first batch; others have the numbers after it.
+    copies : copies of the circuit, N walkers for each.
+    batches : independent batches; errors are from their scatter.
+    transient, duration : time before the measurement, and measured time.
+    seed : seed of the first batch; the others have the next numbers.
     """
 
     copies: int
@@ -68,15 +68,15 @@ class Effort:
 
 @dataclass(frozen=True)
 class Walked:
-    """What batches of walkers did; arrays of shape (batch,) or (batch, urn), of one circuit.
+    """Results of batches of walkers; arrays of shape (batch,) or (batch, urn), of one circuit.
 
     Attributes
     ----------
     half2_number : N2, time average.
     flow1, flow2 : crossings of channels 1 and 2 from urn 1 to 2 and from 2 to 1, per unit time.
-    entries, turned : entries into the gate of each urn and turned back there, per unit time.
-    fuller_number, polarised_current : mean in the half that is the fuller one at the time, and net
-        current of channel 2 from there, per unit time; shape (batch,).
+    entries, turned : entries into the gate of each urn, and reversed walkers, per unit time.
+    fuller_number, polarised_current : mean number in the half that is the fuller one at the time,
+        and net current of channel 2 from there, per unit time; shape (batch,).
     """
 
     half2_number: Floats
@@ -89,12 +89,12 @@ class Walked:
 
     @property
     def net_current(self) -> Floats:
-        """Net current of channel 1 from urn 1 to urn 2, from what comes back through channel 2."""
+        """Net current of channel 1 from urn 1 to urn 2, from that of channel 2."""
         return self.flow2[:, 1] - self.flow2[:, 0]
 
 
 def effort_for(circuit: Circuit, copies: int = COPIES) -> Effort:
-    """Return an effort of at most about `MOST_VISITS`: what is too much is taken off the time."""
+    """Return an effort of at most about `MOST_VISITS`, by a limited time."""
     circuit.need_discs("the one-particle model")
     radius = max(float(side.urn_radius) for side in circuit.sides)
     width1, width2 = float(circuit.channel1_width), float(circuit.channel2_width)
@@ -107,7 +107,7 @@ def effort_for(circuit: Circuit, copies: int = COPIES) -> Effort:
 
 
 def effort_for_kind(circuit: Circuit) -> Effort:
-    """Return what is enough to tell whether a state lasts, not where it lies."""
+    """Return an effort for the stability of a state, not for its position."""
     number = float(circuit.number)
     copies = int(np.clip(np.ceil(POOL / number), FEWEST_COPIES, MOST_COPIES))
     effort = effort_for(circuit, copies)
@@ -115,11 +115,11 @@ def effort_for_kind(circuit: Circuit) -> Effort:
 
 
 def walk(circuit: Circuit, share2: float, effort: Effort, *, well_mixed: bool = False) -> Walked:
-    """Let walkers go, `share2` of them from urn 2; `well_mixed` urns forget each visit's beginning.
+    """Run walkers, `share2` of them from urn 2; `well_mixed` urns forget the start of each visit.
 
     Raises
     ------
-    postproc.cli.InputError : the program is not there (make build builds it), or it fails.
+    postproc.cli.InputError : the program does not exist (make build builds it), or it fails.
     """
     one, two = circuit.sides
     words = [int(circuit.number), int(one.threshold), int(two.threshold)]
@@ -144,9 +144,9 @@ def homogeneous_kind(circuit: Circuit, effort: Effort | None = None) -> str:
 
 
 def transition_width(circuit: Circuit, effort: Effort | None = None) -> float:
-    """Return w' from which equal shares last at this N, T, w, to `RESOLUTION`; NaN: there is none.
+    """Return w' above which equal shares are stable at this N, T, w, to `RESOLUTION`; NaN: none.
 
-    It is looked for next to that of the renewal gate, by halves; `channel2_width` is not used.
+    It is searched for next to that of the renewal gate, by bisection; `channel2_width` is not used.
     """
     width = circuits.transition_width(replace(circuit, gate=RENEWAL, occupation=True))
     limit = 2.0 * float(circuit.urn_radius)
@@ -166,9 +166,9 @@ def transition_width(circuit: Circuit, effort: Effort | None = None) -> float:
 def stationary_states(circuit: Circuit, effort: Effort | None = None) -> list[State]:
     """Return the stable states that walkers reach, by increasing N2.
 
-    Of equal urns with equal gates that with N2 > N/2, if there is one: its mirror image is a state
-    too, and walkers may go from one to the other. Of others all that are reached from either urn
-    and from equal shares of the area.
+    For equal urns with equal gates that with N2 > N/2, if there is one: its mirror image is a state
+    too, and walkers may go from one to the other. For others all that are reached from either urn
+    and from equal densities.
     """
     given = effort or effort_for(circuit)
     number = float(circuit.number)
@@ -187,16 +187,16 @@ def stationary_states(circuit: Circuit, effort: Effort | None = None) -> list[St
 
 
 def flows(circuit: Circuit, number2: float, effort: Effort | None = None) -> Floats:
-    """Return what channels 1 and 2 carry from urn 1 to 2 and back, shape (channel, way).
+    """Return the flows of channels 1 and 2 from urn 1 to 2 and back, shape (channel, way).
 
-    Per unit time, where walkers come to that begin with N2 = `number2`; shape (2, 2).
+    Per unit time, in the state that walkers reach from N2 = `number2`; shape (2, 2).
     """
     walked = walk(circuit, number2 / float(circuit.number), effort or effort_for(circuit))
     return np.stack([walked.flow1.mean(axis=0), walked.flow2.mean(axis=0)])
 
 
 def _polarised_share(circuit: Circuit) -> float:
-    """Return the share of urn 2 that is polarised, by the renewal gate if it knows such a state."""
+    """Return a polarised share of urn 2, that of the renewal gate if it has such a state."""
     guess = stable_state(replace(circuit, gate=RENEWAL, occupation=True))
     return guess.urn2_number / float(circuit.number) if guess else 1.0 - EMPTIER
 
@@ -215,7 +215,7 @@ def _state(second: Floats, current: Floats, number: float) -> State:
 
 
 def _same(one: State, other: State, number: float) -> bool:
-    """Whether two states are the same but for their errors."""
+    """Whether two states agree within their errors."""
     errors = np.hypot(one.mass_spread_error, other.mass_spread_error)
     apart = 2.0 * abs(one.urn2_number - other.urn2_number) / number
     return bool(apart <= max(2.0 * BIAS, APART * errors))

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 
 def circuit_options(name: str, description: str | None) -> argparse.ArgumentParser:
-    """Return a command line that describes a circuit by the namelist's keys, and a theory."""
+    """Return a parser for a circuit by the namelist's keys, and a theory."""
     options = cli.parser(name, description)
     options.add_argument("--number", type=int, required=True, help="N, how many particles")
     both = "one for both, or urn 1's and urn 2's"
@@ -40,7 +40,7 @@ def circuit_options(name: str, description: str | None) -> argparse.ArgumentPars
         options.add_argument(
             f"--{key}", type=float, default=default, help=f"{meaning} (default: {default})"
         )
-    told = "; ".join(f"{one}: {model.meaning}" for one, model in MODELS.items())
+    meanings = "; ".join(f"{one}: {model.meaning}" for one, model in MODELS.items())
     options.add_argument(
         "--urn-sides", type=int, metavar="N", help="sides of urns that are regular polygons"
     )
@@ -50,7 +50,7 @@ def circuit_options(name: str, description: str | None) -> argparse.ArgumentPars
     )  # fmt: skip
     options.add_argument(
         "--model", "--gate", choices=tuple(MODELS), default="window",
-        help=f"{told} (default: window)",
+        help=f"{meanings} (default: window)",
     )  # fmt: skip
     options.add_argument(
         "--occupation", action="store_true", help="tell those in the channels from those in urns"
@@ -59,7 +59,7 @@ def circuit_options(name: str, description: str | None) -> argparse.ArgumentPars
 
 
 def given_circuit(given: argparse.Namespace) -> Circuit:
-    """Return the circuit of the options, checked; its gate is the model's to choose."""
+    """Return the circuit of the options, checked; the model chooses its gate."""
     _check(given)
     names = {field.name for field in fields(Circuit)} - {"gate", "shape"}
     values = {name: value for name, value in vars(given).items() if name in names}
@@ -84,7 +84,7 @@ def _given_outlines(given: argparse.Namespace) -> dict[str, Outline | None]:
 
 
 def _check(given: argparse.Namespace) -> None:
-    """Raise with every problem of the values given."""
+    """Raise `InputError` with all problems of the values."""
     corners = given.urn_vertices or (0.0,) * 6
     sides = given.urn_sides or 4
     rules = [

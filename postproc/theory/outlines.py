@@ -1,6 +1,6 @@
-"""Urns that are polygons: corners, area, and where the axis leaves them.
+"""Urns that are polygons: corners, area, and the sides at which the axis leaves them.
 
-An outline is a tuple of corners (x, y), counterclockwise, in a frame of its own, x to channel 1.
+An outline is a tuple of corners (x, y), counterclockwise, in its own frame, with channel 1 at +x.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ def outline_of(corners: Iterable[Iterable[float]]) -> Outline:
 
 
 def regular(sides: int, radius: float) -> Outline:
-    """Return a regular polygon of an even number of sides, upright where the axis leaves it."""
+    """Return a regular polygon with an even number of sides, vertical where the axis leaves it."""
     angles = math.pi * (2.0 * np.arange(sides) + 1.0) / sides
     return tuple(zip(radius * np.cos(angles), radius * np.sin(angles), strict=True))
 
@@ -50,7 +50,7 @@ def _enclosed(outline: Outline) -> float:
 def opening_side(outline: Outline, way: float) -> int | None:
     """Return the side that the axis crosses last to the right (1) or to the left (-1).
 
-    By the number of the corner, from 0, at which it begins; None if there is none.
+    By the index of the corner, from 0, at which it begins; None if there is none.
     """
     farthest, found = -math.inf, None
     for k, ((x1, y1), (x2, y2)) in enumerate(zip(outline, outline[1:] + outline[:1], strict=True)):
@@ -60,7 +60,7 @@ def opening_side(outline: Outline, way: float) -> int | None:
 
 
 def ends(outline: Outline) -> tuple[float, float]:
-    """Return x where channel 1 begins, and where channel 2 does (or the wall farthest from it)."""
+    """Return x where channel 1 begins, and where channel 2 does (or x of the farthest wall)."""
     x = np.transpose(outline)[0]
     sides = opening_side(outline, 1.0), opening_side(outline, -1.0)
     right = x.max() if sides[0] is None else x[sides[0]]
@@ -69,16 +69,16 @@ def ends(outline: Outline) -> tuple[float, float]:
 
 
 def widest(outline: Outline) -> float:
-    """Return below what both channels must be wide to fit into their sides."""
-    room = math.inf
+    """Return the upper bound of the widths for channels to fit into their sides."""
+    width = math.inf
     for way in (1.0, -1.0):
         side = opening_side(outline, way)
         if side is None:
             return 0.0
-        room = min(room, *(2.0 * abs(outline[(side + k) % len(outline)][1]) for k in (0, 1)))
-    return room
+        width = min(width, *(2.0 * abs(outline[(side + k) % len(outline)][1]) for k in (0, 1)))
+    return width
 
 
 def centred(outline: Outline) -> Floats:
-    """Return the corners, shape (corner, 2), about the middle between both ends."""
+    """Return the corners, shape (corner, 2), relative to the middle between both ends."""
     return np.asarray(outline) - [0.5 * sum(ends(outline)), 0.0]

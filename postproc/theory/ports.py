@@ -1,14 +1,15 @@
-"""What an urn remembers by which opening one came: chances and mean stays of its visits.
+"""Memory of an urn of the opening of entry: probabilities and mean stays of its visits.
 
-An urn has two ports, the openings to channels 1 and 2. Of those that enter through channel 2 the
-share a, its return chance, leaves through channel 2. Visits keep the measure cos(theta) dtheta dy
-and read backwards are visits too, so w P12 = w' P21 (P12: in through 1, out through 2), and four
-chances come down to one: P22 = a, P21 = 1 - a, P12 = (w'/w)(1 - a), P11 = 1 - P12. The mean stays
-t1, t2 of those that came through 1 and 2 fill the urn evenly: w t1 + w' t2 = pi A.
+An urn has two ports, the openings to channels 1 and 2. Of the particles that enter through channel
+2 the share a, the return probability, leaves through channel 2. Visits conserve the measure
+cos(theta) dtheta dy, and reversed visits are visits too, so w P12 = w' P21 (P12: in through 1, out
+through 2), and the four probabilities follow from one: P22 = a, P21 = 1 - a, P12 = (w'/w)(1 - a),
+P11 = 1 - P12. The mean stays t1, t2 after entries through 1 and 2 obey w t1 + w' t2 = pi A, since
+the urn is filled uniformly.
 
 A well mixed urn has a = w'/(w + w') and t1 = t2. A disc with opposite openings has not: of the
-orbits that would come back to opening 2 those with an even number of chords meet opening 1 first,
-so only odd polygons return (`returns`), however small the openings.
+orbits that would return to opening 2 those with an even number of chords reach opening 1 first, so
+only odd polygons return (`returns`), however small the openings.
 """
 
 from __future__ import annotations
@@ -34,11 +35,11 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Ports:
-    """How an urn answers an entrant through either opening.
+    """Probabilities and mean stays of an urn, by the opening of entry.
 
     Attributes
     ----------
-    return_chance : a, in through channel 2 and out through channel 2.
+    return_chance : a, probability in through channel 2 and out through channel 2.
     across : P12, in through channel 1 and out through channel 2.
     stay1, stay2 : mean time in the urn, in through channel 1 and 2, from chord to chord.
     """
@@ -57,12 +58,12 @@ def well_mixed(circuit: Circuit) -> Ports:
 
 
 def disc(circuit: Circuit) -> Ports:
-    """Return the ports of the disc: chances by polygons, stays by integration over its visits.
+    """Return the ports of the disc: probabilities by polygons, stays by integration over visits.
 
-    Both are of the narrower opening; the identities above give the other's. A closed channel 2
-    leaves nothing to remember.
+    Both are computed for the narrower opening; the identities above give the other's. With a closed
+    channel 2 there is no memory.
 
-    Raises `InputError` if the urns are no discs.
+    Raises `InputError` if the urns are not discs.
     """
     circuit.need_discs("what an urn remembers")
     widths = float(circuit.channel1_width), float(circuit.channel2_width)
@@ -89,7 +90,7 @@ def mean_stay(radius: float, own: float, other: float) -> float:
 def stays(radius: float, found: Pieces, own: float, other: float) -> Floats:
     """Return the times of visits through openings of widths `own` and `other`, from chord to chord.
 
-    n chords of 2 r cos(psi) less the ends between arc and chord of either opening; at the nodes of
+    n chords of 2 r cos(psi) minus the ends between arc and chord of either opening; at the nodes of
     the pieces, shape (2, piece).
     """
     place, _ = found.nodes()

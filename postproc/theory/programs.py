@@ -1,4 +1,4 @@
-"""Programs that theories ask: lines of words in, lines of numbers out."""
+"""Programs that theories run: they read lines of arguments and write lines of numbers."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 FOLDER = Path(__file__).resolve().parents[2] / "build/bin"
-#: Where `make install` puts them: beside the Python that runs `battery-postproc`.
+#: Folder of `make install`: that of the Python that runs `battery-postproc`.
 INSTALLED = Path(sys.prefix) / "bin"
 
 
 def place_of(name: str) -> Path:
-    """Return where a program is: built in this checkout, or installed; else where it would be."""
+    """Return the path of a program: built in this checkout, or installed; else the former."""
     places = [folder / name for folder in (FOLDER, INSTALLED)]
     return next((place for place in places if place.is_file()), places[0])
 
@@ -33,18 +33,18 @@ def there(name: str) -> bool:
 
 
 def absence(name: str) -> str:
-    """Return where a program was looked for and what makes it; empty: it is there."""
+    """Return where a program was searched for and how to build it; empty: it exists."""
     if there(name):
         return ""
     return f"{name}: no such program in {FOLDER} (make build) or {INSTALLED} (make install)"
 
 
 def answers(name: str, lines: Sequence[str]) -> NDArray[np.float64]:
-    """Ask a program; return the numbers of its answer, a row a line.
+    """Run a program; return the numbers of its output, a row for each line.
 
     Raises
     ------
-    InputError : the program is not there, or it fails.
+    InputError : the program does not exist, or it fails.
     """
     text = "".join(f"{line}\n" for line in lines)
     program = place_of(name)

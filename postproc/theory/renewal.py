@@ -1,20 +1,21 @@
-"""The renewal gate: the real gate's rule under Poisson entries, in place of the paper's window.
+"""The renewal gate: the exact rule of the gate under Poisson entries, instead of a window.
 
-A gate that is fed by Poisson entries at rate nu is a queue with unlimited servers: each entrant is
-inside for (l/2)/cos(theta), theta from the cosine law, on average tau = pi l/4, and an entry that
-finds T inside empties it. With C the mean time between emptyings the share of the entries that gets
-through is exactly 1 - (T+1)/(nu C).
+A gate with Poisson entries at rate nu is a queue with unlimited servers: each entrant is inside for
+(l/2)/cos(theta), theta from the cosine law, on average tau = pi l/4, and an entry that finds T
+inside empties it. With C the mean time between emptyings the share of the entries that gets through
+is exactly 1 - (T+1)/(nu C).
 
-Were the times inside exponential, nu C would be the sum of 1/B(n, x) over n = 0 ... T, B Erlang's
-loss formula at load x = nu tau (a birth-death chain). What the true times change is a smooth
-function of load and threshold up to T = 100; it is kept in `renewal_fit.json` as a polynomial for
-the difference of the logits of the shares. `renewal_fit.py` makes it from solutions of moment
-equations without chance; the file tells how far they are from each other and from simulations.
+For exponential times inside, nu C would be the sum of 1/B(n, x) over n = 0 ... T, B Erlang's loss
+formula at load x = nu tau (a birth-death chain). The correction for the true times is a smooth
+function of load and threshold up to T = 100, a polynomial in `renewal_fit.json` for the difference
+of the logits of the shares. `renewal_fit.py` makes it from deterministic solutions of moment
+equations; the file has their differences from each other and from simulations.
 
-For T without bound a gate fills like a vessel that leaks: at the time t at which the number inside,
-nu times the integral of the chance to be inside still, reaches T, and the share is 1 - T/(nu t).
-Above T = 100 logits are interpolated, at equal places of the transition, in powers of 1/sqrt(T)
-between that limit and thresholds up to 100: off by up to 2e-3 at T = 200, 7e-3 at T = 400.
+In the limit of large T the number inside is deterministic: nu times the integral of the probability
+to be still inside. It reaches T at the time t, and the share is 1 - T/(nu t).
+Above T = 100 logits are interpolated, at equal coordinates along the transition, in powers of
+1/sqrt(T) between that limit and thresholds up to 100: errors are up to 2e-3 at T = 200, 7e-3 at T =
+400.
 """
 
 from __future__ import annotations
@@ -45,8 +46,8 @@ def load_range(threshold: ArrayLike) -> tuple[Floats, Floats]:
     """Return the loads between which the share falls from nearly 1 to nearly 0.
 
     At the lower one a Poisson number with that mean reaches T with probability `LOWEST`; at the
-    upper one, of those that come in a time l/2 (nobody leaves sooner), at most T come with
-    probability `HIGHEST`.
+    upper one at most T enter within the time l/2 (no particle leaves sooner) with probability
+    `HIGHEST`.
     """
     count = np.asarray(threshold, float)
     lower = special.gammaincinv(count, LOWEST)
@@ -68,10 +69,10 @@ def coordinates(threshold: ArrayLike, load: ArrayLike) -> tuple[Floats, Floats]:
 
 
 def exponential_share(threshold: ArrayLike, load: ArrayLike) -> tuple[Floats, Floats]:
-    """Return (share through, share thrown out) if times inside were exponential, in closed form.
+    """Return (share through, share reversed) for exponential times inside, in closed form.
 
-    With u_n = 1/B(n, x) from u_n = 1 + (n/x) u_(n-1), nu C is their sum; what gets through is
-    summed too, sum(u_n - 1), so that a small share keeps its digits.
+    With u_n = 1/B(n, x) from u_n = 1 + (n/x) u_(n-1), nu C is their sum; the share through is also
+    a sum, sum(u_n - 1), so that a small share is accurate.
     """
     count, x = np.broadcast_arrays(np.asarray(threshold, float), np.asarray(load, float))
     if x.size == 1:
@@ -105,7 +106,7 @@ def _range_of_one(threshold: float) -> tuple[Floats, Floats]:
 
 
 def fluid_share(relative_load: float) -> float:
-    """Return the share for T without bound at load rho T: 1 up to rho = 1, 0 from pi/2."""
+    """Return the share in the limit of large T at load rho T: 1 up to rho = 1, 0 from pi/2."""
     if relative_load <= 1.0:
         return 1.0
     if relative_load >= 0.5 * np.pi:
@@ -120,20 +121,20 @@ def fluid_share(relative_load: float) -> float:
 
 @cache
 def _fluid_logits() -> tuple[Floats, Floats]:
-    """Return places along the transition and the fluid's logit there, for interpolation."""
+    """Return coordinates along the transition and the fluid's logit there, for interpolation."""
     places = FLUID_RANGE * np.sin(0.5 * np.pi * np.linspace(-1.0, 1.0, 401))
     shares = [fluid_share((0.5 * np.pi) ** (0.5 * (1.0 + one))) for one in places]
     return places, special.logit(np.array(shares))
 
 
 class RenewalGate:
-    """The gate as a queue that is emptied; see the module's head for how its share is found."""
+    """The gate as a queue that is emptied; the module's docstring explains its share."""
 
     name = "renewal"
 
     @cached_property
     def fit(self) -> dict[str, object]:
-        """The fit as `renewal_fit.py` left it."""
+        """The fit, as written by `renewal_fit.py`."""
         return json.loads(FIT_FILE.read_text())
 
     @cached_property

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     Floats = NDArray[np.float64]
 
 THRESHOLDS = (*range(2, 13), 14, 16, 18, 20, 22, 25, 30, 36, 45, 60, 80, 100)
-LOADS = 16  # a threshold
+LOADS = 16  # for each threshold
 FINE = (*range(2, 13), 60)  # thresholds at which cells of half the width are used as well
 THIRD = (3, 4, 6, 8, 12, 18, 25)  # thresholds at which the third order is solved as well
 THIRD_LOADS = 8
@@ -53,8 +53,8 @@ def simulate(
     with ThreadPoolExecutor(processes) as pool:
 
         def run(piece: int) -> Floats:
-            asked = [f"{x!r} {int(t)} {entries}" for t, x in points[piece::processes].tolist()]
-            return answers("renewal_gate", [str(seed + piece), *asked])
+            lines = [f"{x!r} {int(t)} {entries}" for t, x in points[piece::processes].tolist()]
+            return answers("renewal_gate", [str(seed + piece), *lines])
 
         for piece, found in zip(pieces, pool.map(run, pieces), strict=True):
             _, threshold, cycles, total, squares = found.T
@@ -66,7 +66,7 @@ def simulate(
 
 
 def share_of_one(load: Floats) -> Floats:
-    """Return the exact share for T = 1: with p the chance that nobody enters during one's stay.
+    """Return the exact share for T = 1, with p the probability of no entry during a stay.
 
     From an entry into an empty gate nu C - 1 = 1 + p (nu C - 1), so the share is p/(2 - p).
     """
@@ -85,7 +85,7 @@ def loads(threshold: int, count: int) -> Floats:
 
 
 def grid() -> Floats:
-    """Return what is solved, rows (threshold, load, order, cells)."""
+    """Return the cases to solve, rows (threshold, load, order, cells)."""
     rows = [(t, x, 2, 8) for t in THRESHOLDS for x in loads(t, LOADS)]
     rows += [(t, x, 2, 16) for t in FINE for x in loads(t, LOADS)]
     rows += [(t, x, order, 6) for t in THIRD for x in loads(t, THIRD_LOADS) for order in (2, 3)]
@@ -106,7 +106,7 @@ def _polynomial(points: Floats, values: Floats, share: Floats, degrees: tuple[in
 def _difference(
     rows: Floats, shares: Floats, one: tuple[int, int], other: tuple[int, int]
 ) -> tuple[Floats, Floats, Floats]:
-    """Return places (threshold, load), logit difference of two (order, cells), and the share."""
+    """Return points (threshold, load), logit difference of two (order, cells), and the share."""
     table = {(*row[:2].round(6), *row[2:]): s for row, s in zip(rows, shares, strict=True)}
     places = [key[:2] for key in table if key[2:] == one and (*key[:2], *other) in table]
     first = np.array([table[(*place, *one)] for place in places])
@@ -120,7 +120,7 @@ def _base(threshold: Floats, load: Floats) -> Floats:
 
 
 def fit(rows: Floats, shares: Floats) -> dict[str, object]:
-    """Return coefficients, shape DEGREES + 1, and what tells how good they are."""
+    """Return coefficients, shape DEGREES + 1, and measures of their accuracy."""
     cell_places, cell_step, cell_share = _difference(rows, shares, (2, 16), (2, 8))
     cell_step *= 1.0 + 1.0 / (2.0**POWER - 1.0)
     third_places, third_step, third_share = _difference(rows, shares, (3, 6), (2, 6))
@@ -152,7 +152,7 @@ def _largest(step: Floats, share: Floats) -> float:
 
 
 def checks(gate: RenewalGate, shares: Floats, errors: Floats) -> list[dict[str, float]]:
-    """Return, for each of `CHECKED`, the simulated share, its error and what the fit differs by."""
+    """Return for each of `CHECKED` the simulated share, its error and the difference of the fit."""
     points = np.array(CHECKED)
     missed = gate.share(*points.T) - shares
     names = ("threshold", "load", "share", "error", "fit_less_share")
@@ -161,7 +161,7 @@ def checks(gate: RenewalGate, shares: Floats, errors: Floats) -> list[dict[str, 
 
 
 def read_solutions(path: Path) -> tuple[Floats, Floats]:
-    """Return what `--data` has kept: the rows of the grid, and the share of each."""
+    """Read a file of `--data`: the rows of the grid, and the share of each."""
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("error")  # it only warns of an empty file

@@ -1,19 +1,19 @@
-"""The chance to return through the opening by which one came, as a sum over polygons.
+"""The probability to leave through the opening of entry, as a sum over polygons.
 
 Let alpha be the half angle of the narrower opening of a disc and beta >= alpha that of the other,
-opposite. A visit that enters at y and comes back after n chords of the angle delta leaves at y' = y
-+ epsilon, epsilon = n delta - 2 pi k: it is nearly a polygon of n corners that winds k times. It
-does come back if nothing let it out before. Three things decide.
+opposite. A visit that enters at y and returns after n chords of the angle delta leaves at y' = y +
+epsilon, epsilon = n delta - 2 pi k: it is nearly a polygon of n corners that winds k times. It does
+return if it has not left before. There are three conditions.
 
-1. n and k have no common factor, or a shorter polygon has returned.
-2. n is odd, or corner n/2 lies at (y + y')/2 from the middle of the other opening, within it.
+1. n and k have no common factor, else a shorter polygon has returned.
+2. n is odd, else corner n/2 is at (y + y')/2 from the middle of the other opening, within it.
 3. Then the corners nearest to that middle are two, one on either side: at pi/n + y + epsilon x/n
    after x = m chords and at -pi/n + y + epsilon x/n after x = n - m, with 2 k m = 1 mod n. They
    miss the other opening if
 
        |y + y'| < 2 (pi/n - beta) + tau epsilon,        tau = 2 m/n - 1,
 
-   and then so do all other corners, and none of them meets the opening of entry.
+   and then so do all other corners, and none of them is in the opening of entry.
 
 So with e = |epsilon| and mu = |y + y'|, 0 <= mu <= 2 alpha - e, and the measure of entries,
 
@@ -45,9 +45,9 @@ if TYPE_CHECKING:
     Floats = NDArray[np.float64]
     Integers = NDArray[np.int64]
 
-ORDER = 1000  # corners up to which every polygon is looked at; beyond, tau is taken as even
-COUNTED = 2**16  # corners up to which odd n are summed one by one; beyond, there is an integral
-PLACES = 1600  # in log n, at which the mean over tau is asked for
+ORDER = 1000  # corners up to which every polygon is computed; beyond, tau is taken as uniform
+COUNTED = 2**16  # corners up to which odd n are summed one by one; beyond, the sum is an integral
+PLACES = 1600  # in log n, at which the mean over tau is computed
 TOGETHER = 200_000  # polygons at a time
 ODD_PRIMITIVE = 4.0 / math.pi**2  # mean of phi(n)/n over odd n, times their density 1/2
 GAUSS = np.polynomial.legendre.leggauss(4)
@@ -55,7 +55,7 @@ EVEN_TAU = np.polynomial.legendre.leggauss(32)
 
 
 def limit(ratio: float) -> float:
-    """Return the chance for narrow openings, a function of own over other width alone.
+    """Return the probability for narrow openings, a function of own over other width only.
 
     With rho <= 1 that ratio and Li2 the dilogarithm
 
@@ -76,13 +76,13 @@ def _dilogarithm(x: float) -> float:
 
 @lru_cache(maxsize=512)
 def return_chance(radius: float, own: float, other: float, order: int = ORDER) -> float:
-    """Return the chance to leave through the opening of entry, of width `own`.
+    """Return the probability to leave through the opening of entry, of width `own`.
 
     Parameters
     ----------
     radius : r of the disc.
     own, other : chords of the opening of entry and of the opposite one, below 2r.
-    order : corners of the largest polygons that are looked at one by one.
+    order : corners of the largest polygons that are computed one by one.
     """
     if own > other:
         return 1.0 - other / own * (1.0 - return_chance(radius, other, own, order))
@@ -97,7 +97,7 @@ def _polygons(alpha: float, beta: float, order: int) -> float:
     total, n = 0.0, np.arange(3, order + 1, 2)
     for part in np.array_split(n, int(n.sum() / 2) // TOGETHER + 1):
         corners = np.repeat(part, part // 2)
-        # k and n - k make the same, with the signs of epsilon and tau exchanged
+        # k and n - k give the same, with the signs of epsilon and tau exchanged
         winds = np.arange(corners.size) - np.repeat(np.cumsum(part // 2) - part // 2, part // 2) + 1
         own = np.gcd(winds, corners) == 1
         corners, winds = corners[own], winds[own]
@@ -126,7 +126,8 @@ def _integral(
 ) -> Floats:
     """Return the integral over e and mu of sin(angle + sign e/2n), or of 1, where mu < g + tau e.
 
-    mu reaches up to the lesser of 2 alpha - e and g + tau e, lines that cross at e = `bend`.
+    The upper limit of mu is the lesser of 2 alpha - e and g + tau e, lines that cross at e =
+    `bend`.
     """
     width, gap = 2.0 * alpha, 2.0 * math.pi / n - 2.0 * beta
     with np.errstate(divide="ignore", invalid="ignore"):

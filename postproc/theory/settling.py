@@ -1,15 +1,15 @@
-"""How long states last where directions settle no faster than N2 goes: a chain in two variables.
+"""Lifetimes of states if directions relax no faster than N2 changes: a chain in two variables.
 
-Directions take some hundred units of time to settle, and N2 gets as far as a barrier in no more. So
-they lag: M is the N2 to which they have settled, and dM/dt = (N2 - M)/tau. How many an urn sends
-is settled within a visit, and follows N2; by which directions follows M: F_i(s; M) e_i(N2)/e_i(M).
-Gates are those of these entries. For N2 = M these are the rates of `direction.outflows`, and where
-gates ask for no direction they are so for any M.
+Directions relax in some hundred units of time, and N2 may reach a barrier in the same time. So they
+lag behind: M is the N2 to which they have relaxed, and dM/dt = (N2 - M)/tau. The rate at which an
+urn sends particles out relaxes within a visit, and follows N2; their distribution of directions
+follows M: F_i(s; M) e_i(N2)/e_i(M). Gates are those for these entries. For N2 = M these are the
+rates of `direction.outflows`, and if gates do not depend on directions they are so for any M.
 
-tau: a deviation of the directions in one urn, and its negative in the other, becomes K11 (1 - 2 q)
-of itself with each visit, in the circuit of equal halves; a visit and what follows it in the gate
-take n_i/e_i, more or less. So its slowest part goes in n_i/e_i/(1 - kappa), kappa the largest
-eigenvalue, the part that changes numbers left out.
+tau: a deviation of the directions in one urn, and its negative in the other, is multiplied by K11
+(1 - 2 q) in each visit, in the circuit of equal halves; a visit and the stay in the gate after it
+take about n_i/e_i. So its slowest component decays in n_i/e_i/(1 - kappa), kappa the largest
+eigenvalue, without the component that changes numbers.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     Floats = NDArray[np.float64]
 
 STEPS = 100  # of M
-LONGEST = 1e12  # lifetimes beyond this are not told from endless ones
+LONGEST = 1e12  # lifetimes above this count as infinite
 
 
 @dataclass(frozen=True)
@@ -46,9 +46,9 @@ class Settling:
     Attributes
     ----------
     number : N.
-    places2 : N2 at which rates are known, increasing.
-    settled2 : M at which they are.
-    sent : logarithms of what halves send each other, shape (N2, M, half).
+    places2 : N2 at which rates are computed, increasing.
+    settled2 : M at which they are computed.
+    sent : logarithms of the flows between the halves, shape (N2, M, half).
     time : tau, in units of length/v.
     """
 
@@ -70,9 +70,9 @@ class Settling:
         return up, down
 
     def passage(self, start: int, stop: int) -> float:
-        """Return the mean time from one |N2 - N/2|, settled, to another.
+        """Return the mean time from one |N2 - N/2|, with relaxed directions, to another.
 
-        Both count as the states of `chain.folded`; infinite beyond `LONGEST`.
+        Both are states of `chain.folded`; infinite above `LONGEST`.
         """
         offset = (self.number + 1) // 2
         if stop > start:
@@ -101,20 +101,20 @@ class Settling:
 
 
 def passages(circuit: Circuit) -> Callable[[int, int], float]:
-    """Return what tells the mean time from one |N2 - N/2| to another (`Settling.passage`)."""
+    """Return a function for the mean time from one |N2 - N/2| to another (`Settling.passage`)."""
     return settling(circuit).passage
 
 
 def settling(circuit: Circuit) -> Settling:
-    """Return how directions of a circuit with equal urns and gates lag behind its N2."""
+    """Return the chain of a circuit with equal urns and gates whose directions lag behind N2."""
     equations = direction.Directions(circuit)
     held = [one for _, one in direction.scan(circuit)]
     circuits = [*(_mirrored(one) for one in held[::-1]), equations.held(0.5), *held]
-    kept = circuits[len(held) % 2 :: 2]  # the even one among them, and the ends or nearly so
-    half = np.array([[_sent(equations, one, other) for other in kept]
+    chosen = circuits[len(held) % 2 :: 2]  # the even one among them, and the ends or nearly so
+    half = np.array([[_sent(equations, one, other) for other in chosen]
                      for one in each(circuits, "what is sent, share")])  # fmt: skip
     sent = np.stack([half, half[::-1, ::-1]], axis=2)
-    second, settled = (np.array([one.in_half[1] for one in few]) for few in (circuits, kept))
+    second, settled = (np.array([one.in_half[1] for one in few]) for few in (circuits, chosen))
     time = _time(equations, circuits[len(held)])
     return Settling(int(circuit.number), second, settled, sent, time)
 
@@ -124,7 +124,7 @@ def _mirrored(held: Held) -> Held:
 
 
 def _sent(equations: Directions, held: Held, settled: Held) -> float:
-    """Return the logarithm of what half 1 sends: as many as `held`, directions as `settled`."""
+    """Return the logarithm of half 1's outflow: its rate from `held`, directions from `settled`."""
     more = held.entries[0, 0] / settled.entries[0, 0]
     law = np.maximum(more * settled.entries[0] @ equations.basis, 0.0) * equations.weights
     rate = law.sum()
@@ -138,5 +138,5 @@ def _time(equations: Directions, even: Held) -> float:
     basis, share = equations.basis, 1.0 - 2.0 * even.passing.mean(axis=0)
     gate = (basis * (equations.weights * share)) @ basis.T
     visit = (equations.urns[0].kernel[0, 0].T @ gate)[1:, 1:]
-    kept = np.linalg.eigvals(visit).real.max()
-    return float(even.in_half[0] / even.entries[0, 0] / (1.0 - kept))
+    slowest = np.linalg.eigvals(visit).real.max()
+    return float(even.in_half[0] / even.entries[0, 0] / (1.0 - slowest))

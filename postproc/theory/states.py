@@ -1,9 +1,10 @@
 """All stationary states of a circuit: the zeros of eta, eq. (eq007), each with its kind.
 
-Zeros are looked for in d = N2 - N/2 > 0 through g(d) = log f(N1) - log f(N2), which has the sign of
-eta and does not underflow. f bends only where the load of a gate is near its threshold, over a
-width of its square root, so places there, at equal steps, and on a logarithmic scale towards both
-ends bracket every zero; minima of |g| in between are followed for pairs that lie closer.
+Zeros are searched for in d = N2 - N/2 > 0 by g(d) = log f(N1) - log f(N2), which has the sign of
+eta and does not underflow. f has a large curvature only where the load of a gate is near its
+threshold, over a width of its square root, so points there, at equal steps, and on a logarithmic
+scale towards both ends bracket every zero; minima of |g| in between are computed for pairs that are
+closer.
 """
 
 from __future__ import annotations
@@ -46,9 +47,9 @@ class State:
     kind : "stable" or "unstable".
     mass_spread : chi = |N1 - N2|/N, eq. (mass).
     net_current : of channel 1 from urn 1 to urn 2, and back through channel 2 (per unit time).
-    circulating_current : what of it is carried by particles that go round without a bounce in an
-        urn; None if the theory does not tell.
-    mass_spread_error, net_current_error : standard errors where the theory draws numbers.
+    circulating_current : the part of circulating particles, which have no wall hit in an urn; None
+        if the theory does not have it.
+    mass_spread_error, net_current_error : standard errors if the theory uses random numbers.
     """
 
     urn2_number: float
@@ -76,7 +77,7 @@ def stationary_states(circuit: Circuit) -> list[State]:
     values[0] = 1.0 if homogeneous_kind(circuit) == "unstable" else -1.0
     roots = crossings(balance, places, values)
     if closed and values[-1] > 0.0:
-        roots.append((0.0, "stable"))  # N1 too small for any number: all in one urn
+        roots.append((0.0, "stable"))  # N1 underflows: all particles in one urn
     return [_state(circuit, 2.0 * half, first, kind) for first, kind in roots]
 
 
@@ -89,8 +90,8 @@ def stable_state(circuit: Circuit) -> State | None:
 def stable_spread(circuit: Circuit, branch: str = "polarised") -> float:
     """Return chi of the stable state on a branch: "polarised" (largest chi) or "homogeneous".
 
-    The homogeneous branch follows the nearest stable state; the polarised branch is 0 where only
-    the homogeneous state is stable.
+    The homogeneous branch is the nearest stable state; the polarised branch is 0 if only the
+    homogeneous state is stable.
     """
     if branch == "homogeneous" and homogeneous_kind(circuit) == "stable":
         return 0.0
@@ -101,7 +102,7 @@ def stable_spread(circuit: Circuit, branch: str = "polarised") -> float:
 
 
 def places_of(circuit: Circuit, half: float) -> NDArray[np.float64]:
-    """Return N1 where g is looked at, from just below N/2 down to 0."""
+    """Return N1 at which g is evaluated, from just below N/2 down to 0."""
     threshold = float(circuit.threshold)
     per_particle = float(circuit.load_per_particle)
     bend = threshold + 1.0 + np.sqrt(threshold + 1.0) * np.linspace(-9.0, 9.0, 181)
@@ -118,7 +119,7 @@ def places_of(circuit: Circuit, half: float) -> NDArray[np.float64]:
 def crossings(
     balance: Balance, places: NDArray[np.float64], values: NDArray[np.float64]
 ) -> list[tuple[float, str]]:
-    """Return (N1, kind) of the zeros of `balance`, looked for between `places`, N1 decreasing.
+    """Return (N1, kind) of the zeros of `balance`, searched for between `places`, N1 decreasing.
 
     `values` are those of `balance` there, or of its limit at the first place.
     """
@@ -127,7 +128,7 @@ def crossings(
     for at in np.flatnonzero(np.sign(values[:-1]) * np.sign(values[1:]) < 0.0):
         high, low = places[at], places[at + 1]
         if at == 0 and np.sign(balance(high)) != np.sign(values[0]):
-            continue  # the zero lies closer to N/2 than can be told apart
+            continue  # the zero is too close to N/2 to be distinguished
         first = optimize.brentq(balance, low, high, xtol=1e-300, rtol=1e-14, maxiter=500)
         roots.append((float(first), "stable" if values[at] > 0.0 else "unstable"))
     for at in np.flatnonzero(values[1:-1] == 0.0) + 1:
@@ -176,20 +177,20 @@ def _state(circuit: Circuit, number: float, first: float, kind: str) -> State:
 
 @dataclass(frozen=True)
 class Theory:
-    """What a theory answers about a circuit.
+    """The functions of a theory of a circuit.
 
     Attributes
     ----------
     states : all its stationary states, `State`s.
     homogeneous_kind : "stable", "unstable" or "neutral", of the state with equal densities.
     transition_width : w' of the transition line, NaN without one.
-    outflows : N2, shape (case,), and the logarithms of what halves 1 and 2 send to each other
-        there, shape (half, case); None: `circuit.log_outflow`.
-    passages : what tells the mean time from one |N2 - N/2| to another, as `chain.passages`, of urns
-        that take their time to settle after N2; None: that of a chain with these outflows.
-    flows : what channels 1 and 2 carry from urn 1 to 2 and back at an N2, shape (channel, way);
-        None: `circuit.flow1` and `flow2`.
-    growth : what is positive where the homogeneous state is unstable; None: not told.
+    outflows : N2, shape (case,), and the logarithms of the flows of halves 1 and 2 to each other,
+        shape (half, case); None: `circuit.log_outflow`.
+    passages : mean time from one |N2 - N/2| to another, as `chain.passages`, for urns that relax
+        more slowly than N2; None: that of a chain with these outflows.
+    flows : flows of channels 1 and 2 from urn 1 to 2 and back at an N2, shape (channel, way); None:
+        `circuit.flow1` and `flow2`.
+    growth : a number that is positive if the homogeneous state is unstable; None: it has none.
     """
 
     states: Callable[[Circuit], list[State]] = stationary_states

@@ -1,20 +1,21 @@
-"""Whether equal urns part continuously or by a jump, by the gate's rule between well mixed urns.
+"""Order of the transition of equal, well mixed urns with renewal gates: continuous or a jump.
 
-Let f(n) be what an urn that has n of the particles sends to the other. The states of equal urns are
+Let f(n) be the flow of an urn with n of the particles to the other. The states of equal urns are
 f(N/2 - d) = f(N/2 + d), or f'(N/2) d + f'''(N/2) d^3/6 + ... = 0. The homogeneous state is unstable
-where f' < 0, d = 0. If f''' > 0 where f' vanishes, polarised states begin there with d = 0 and lie
-where f' < 0: the transition is continuous. If f''' < 0 they reach back to where the homogeneous
-state is stable still, so there is a jump, and hysteresis. In between is the tricritical point, f' =
+where f' < 0, d = 0. If f''' > 0 where f' vanishes, polarised states begin there with d = 0 and
+exist where f' < 0: the transition is continuous. If f''' < 0 they exist also where the homogeneous
+state is still stable, so there is a jump, and hysteresis. In between is the tricritical point, f' =
 f''' = 0.
 
-With J(x) = x q(x), x the load of the gate, f is J and what channel 2 carries. That is linear in n
-and drops out of f''': the order hangs on T and the load alone, the same for any Ohmic channel 2,
-and f' = 0 is J' = -w'/w. (If those in the channels are counted f is a function of them as well.)
+With J(x) = x q(x), x the load of the gate, f is J plus the flow of channel 2. The latter is linear
+in n and drops out of f''': the order depends on T and the load only, the same for any Ohmic channel
+2, and f' = 0 is J' = -w'/w. (If particles in the channels are counted f is a function of them as
+well.)
 
-It tells of small d alone. From about T = 50 up, at small loads, a polarised state with large d is
+It holds for small d only. From about T = 50 up, at small loads, a polarised state with large d is
 stable beside the homogeneous one although f''' > 0; `order` calls that continuous.
 
-This is mean field: fluctuations of a finite N round a jump, and make it harder to see.
+This is mean field: fluctuations at finite N smooth a jump.
 """
 
 from __future__ import annotations
@@ -35,12 +36,12 @@ if TYPE_CHECKING:
     from postproc.theory.circuit import Circuit
 
 REACH, DEGREE = 0.05, 10  # of the polynomial through f about N/2, whose derivatives are taken
-LOADS = np.geomspace(0.5, 6.0, 16)  # over T, of gates at N/2, between which it is looked for
+LOADS = np.geomspace(0.5, 6.0, 16)  # over T, of gates at N/2, between which it is searched for
 
 
 @dataclass(frozen=True)
 class Tricritical:
-    """Where a transition that jumps turns into a continuous one, for one T, w, l and r.
+    """The point at which the transition changes from a jump to continuous, for one T, w, l and r.
 
     Attributes
     ----------
@@ -57,7 +58,7 @@ class Tricritical:
 def slopes(circuit: Circuit) -> tuple[float, float, float]:
     """Return N f', N^2 f'' and N^3 f''' over f, at N/2.
 
-    By a polynomial through f at Chebyshev's places, which is as good as f itself is smooth.
+    By a polynomial through f at Chebyshev nodes, as accurate as f is smooth.
     """
     half = 0.5 * float(circuit.number)
     around = Chebyshev.interpolate(
@@ -94,7 +95,7 @@ def tricritical(circuit: Circuit) -> Tricritical | None:
 
     `number` and `channel2_width` are not used.
 
-    Raises `InputError` if the urns or gates are unlike, which have no homogeneous state.
+    Raises `InputError` if the urns or gates are unequal, which have no homogeneous state.
     """
     if not circuit.alike:
         raise InputError("a tricritical point is of equal urns and gates")

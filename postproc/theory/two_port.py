@@ -1,17 +1,16 @@
-"""Stationary states of two urns that remember by which opening one came.
+"""Stationary states of two urns that remember the opening of entry.
 
-With e_i the rate at which urn i sends particles into channel 1, f_i into channel 2, q_i the share
-of e_i that its gate lets through at load e_i pi l/4, j the other urn, and the ports of `ports`:
+With e_i and f_i the outflows of urn i into channels 1 and 2, q_i the share of e_i that gets through
+its gate at load e_i pi l/4, j the other urn, and the ports of `ports`:
 
     back into urn i through channel 1   b_i = (1 - q_i) e_i + q_j e_j      through channel 2   f_j
     e_i = (1 - P12) b_i + (1 - a) f_j   f_i = P12 b_i + a f_j              n_i = t1 b_i + t2 f_j
 
-Where the urns are stationary channel 2 carries J = f_2 - f_1 and channel 1 as much, b_1 = e_1 - J
+If the urns are stationary channel 2 carries J = f_2 - f_1 and channel 1 as much, b_1 = e_1 - J
 and b_2 = e_2 + J; all are linear in b_1, b_2. For equal urns P12 (e_2 - e_1) = (1 + a - 2 P12) J
 and J = G (n_2 - n_1) with G = k/(t1 + k (2 t1 - t2)), k = P12/(1 + a - 2 P12), P12 = (w'/w)(1 - a).
-So every ratio b_1/b_2 is a pair of urns held against each other, and a state of the circuit where
-the gates send J as well. Well mixed urns give the flows of eqs. (eqapp5) and (eq007) back, and
-G = w'/(pi A).
+So every ratio b_1/b_2 is a stationary pair of urns, and a state of the circuit if the gates carry J
+as well. Well mixed urns give the flows of eqs. (eqapp5) and (eq007), and G = w'/(pi A).
 """
 
 from __future__ import annotations
@@ -40,22 +39,22 @@ if TYPE_CHECKING:
     Memory = Callable[[Circuit], Ports]
 
 STEP = 1e-5  # relative, of N1, next to equal urns
-WIDTHS_TRIED = 24  # of channel 2, where a transition is looked for
-FEWEST = 1e-9  # of the particles that channel 1 brings, to one urn
-ROUNDS = 60  # at most, of the iteration that finds how many fly
+WIDTHS_TRIED = 24  # of channel 2, at which a transition is searched for
+FEWEST = 1e-9  # smallest share of channel 1's particles to one urn
+ROUNDS = 60  # at most, of the iteration for the number in the channels
 
 
 @dataclass(frozen=True)
 class Balance:
-    """Two urns held against each other; fields of shape (urn, case).
+    """A stationary pair of urns; fields of shape (urn, case).
 
     Attributes
     ----------
-    entries : e, what each urn sends into channel 1 per unit time.
-    across : f, what it sends into channel 2.
-    log_share : logarithm of q, the share of `entries` that its gate lets through.
-    in_urn : n, how many are in it.
-    in_half : N, with its gate and its half of channel 2; `in_urn` if the circuit does not tell.
+    entries : e, outflow of each urn into channel 1 per unit time.
+    across : f, its outflow into channel 2.
+    log_share : logarithm of q, the share of `entries` that gets through its gate.
+    in_urn : n, number in it.
+    in_half : N, with its gate and its half of channel 2; `in_urn` without `occupation`.
     """
 
     entries: Floats
@@ -66,7 +65,7 @@ class Balance:
 
     @property
     def through(self) -> Floats:
-        """What each gate lets through per unit time, q e."""
+        """Flow through each gate per unit time, q e."""
         return np.exp(self.log_share) * self.entries
 
     @property
@@ -76,10 +75,10 @@ class Balance:
 
     @property
     def log_excess(self) -> Floats:
-        """Logarithm of what urn 1 sends over what urn 2 sends, shape (case,): 0 in a state.
+        """Logarithm of the flow of urn 1 over that of urn 2, shape (case,): 0 in a state.
 
-        Said of what is positive whatever the gates do: q_1 e_1 + J - and q_2 e_2 + J + , the two
-        parts of J by its sign.
+        Of flows that are positive for any gates: q_1 e_1 + J - and q_2 e_2 + J + , the two parts of
+        J by its sign.
         """
         with np.errstate(divide="ignore"):
             current = np.log(np.maximum([-self.net_current, self.net_current], 0.0))
@@ -88,7 +87,7 @@ class Balance:
 
 
 def held(circuit: Circuit, arriving1: Floats, memory: Memory = ports.disc) -> Balance:
-    """Return two urns, held as they are, into which channel 1 brings `arriving1`, (urn, case)."""
+    """Return the stationary pair of urns for inflows `arriving1` by channel 1, (urn, case)."""
     sides = circuit.sides
     own = [memory(side) for side in sides]
     back, across, stay1, stay2 = np.array(
@@ -113,11 +112,11 @@ def held(circuit: Circuit, arriving1: Floats, memory: Memory = ports.disc) -> Ba
 
 
 def balance(circuit: Circuit, first: ArrayLike, memory: Memory = ports.disc) -> Balance:
-    """Return all N particles held so that channel 1 brings the share `first`/N of all to urn 1.
+    """Return the pair with N particles in which urn 1 has the share `first`/N of inflows 1.
 
-    `first` is of shape (case,) or a number; with a narrow channel 2 it is nearly N1. Of what urns
-    send, the share would not do: it is the same for all states of two equal urns at w' = w, in
-    the limit of narrow openings.
+    `first` is of shape (case,) or a number; with a narrow channel 2 it is nearly N1. The share of
+    outflows is not suitable: it is the same for all states of two equal urns at w' = w, in the
+    limit of narrow openings.
     """
     number = float(circuit.number)
     one = np.atleast_1d(np.asarray(first, float))
@@ -135,28 +134,28 @@ def balance(circuit: Circuit, first: ArrayLike, memory: Memory = ports.disc) -> 
 def homogeneous_kind(circuit: Circuit, memory: Memory = ports.disc) -> str:
     """Return whether the state with equal densities is "stable" or "unstable".
 
-    "neutral": nothing moves at all. Unlike circuits: of the state that is nearest to it.
+    "neutral": there is no flow. For unequal urns or gates: of the state that is nearest to it.
     """
     if float(circuit.channel2_width) == 0.0 and float(circuit.threshold) == 0.0:
         return "neutral"
     if circuit.alike:
         return "stable" if growth(circuit, memory) <= 0.0 else "unstable"
-    middle = 0.5 * float(circuit.number)  # both send as many: densities are equal
+    middle = 0.5 * float(circuit.number)  # the outflows are equal: densities are equal
     roots = _roots(circuit, memory)
     return min(roots, key=lambda one: abs(one[0] - middle))[1] if roots else "neutral"
 
 
 def growth(circuit: Circuit, memory: Memory = ports.disc) -> float:
-    """Return what has the sign of the growth of a small difference between equal urns."""
+    """Return a number with the sign of the growth of a small difference between equal urns."""
     excess = balance(circuit, 0.5 * float(circuit.number) * (1.0 - STEP), memory).log_excess
     return float(np.nan_to_num(excess[0]))
 
 
 def _roots(circuit: Circuit, memory: Memory) -> list[tuple[float, str]]:
-    """Return (first, kind) of all states, those of equal circuits with urn 2 fuller only."""
+    """Return (first, kind) of all states, for equal urns and gates only those with urn 2 fuller."""
     number = float(circuit.number)
     if circuit.alike and float(circuit.threshold) == 0.0:
-        return []  # channel 2 alone
+        return []  # channel 2 only
 
     def excess(first: ArrayLike) -> Floats:
         found = np.nan_to_num(balance(circuit, first, memory).log_excess, posinf=1e9, neginf=-1e9)
@@ -169,25 +168,25 @@ def _roots(circuit: Circuit, memory: Memory) -> list[tuple[float, str]]:
         places = np.unique(np.concatenate([places, mirrored, [0.5 * number]]))[::-1]
         places = places[(places > 0.0) & (places < number)]
     closed = float(circuit.channel2_width) == 0.0
-    if not closed:  # an urn that channel 1 brings less has what channel 2 keeps in it
+    if not closed:  # an urn with a smaller inflow 1 has only what channel 2 brings
         places = places[(places > FEWEST * number) & (places < (1.0 - FEWEST) * number)]
     values = excess(places)
     if circuit.alike:
         values[0] = 1.0 if growth(circuit, memory) > 0.0 else -1.0
     roots = crossings(excess, places, values)
     if closed and values[-1] > 0.0 and float(one.threshold) > 0.0:
-        roots.append((0.0, "stable"))  # too few to be told
+        roots.append((0.0, "stable"))  # too few to be resolved
     return roots
 
 
 def stationary_states(circuit: Circuit, memory: Memory = ports.disc) -> list[State]:
-    """Return all states of a circuit with scalar fields, of equal urns those with N2 > N/2.
+    """Return all states of a circuit with scalar fields, for equal urns those with N2 > N/2.
 
     Parameters
     ----------
-    circuit : with its gate, and whether those in the channels are told from those in the urns.
-    memory : what an urn remembers, `ports.disc` or `ports.well_mixed`. The former comes with those
-        that go round (`circulation`), whose current is added.
+    circuit : the circuit with its gate and `occupation`.
+    memory : memory of an urn, `ports.disc` or `ports.well_mixed`. With the former the current of
+        circulating particles (`circulation`) is added.
     """
     number, found = float(circuit.number), []
     urns = [memory(side) for side in circuit.sides]
@@ -205,7 +204,7 @@ def stationary_states(circuit: Circuit, memory: Memory = ports.disc) -> list[Sta
 
 
 def outflows(circuit: Circuit, memory: Memory = ports.disc) -> tuple[Floats, Floats]:
-    """Return N2 and the logarithms of what halves 1 and 2 send to each other there.
+    """Return N2 and the logarithms of the flows of halves 1 and 2 to each other.
 
     Shapes (case,) and (half, case), N2 increasing over what the theory can hold.
     """
@@ -221,39 +220,39 @@ def outflows(circuit: Circuit, memory: Memory = ports.disc) -> tuple[Floats, Flo
 
 
 def _with_number2(circuit: Circuit, number2: float) -> Balance:
-    """Return both urns held where N2 is `number2`."""
+    """Return the stationary pair of urns at N2 = `number2`."""
     number = float(circuit.number)
 
     def excess(first: float) -> float:
         return float(balance(circuit, first).in_half[1, 0]) - number2
 
     fewest, most = FEWEST * number, (1.0 - FEWEST) * number
-    if excess(fewest) <= 0.0:  # so many do not fit in there beside those that fly
+    if excess(fewest) <= 0.0:  # so many do not fit beside those in the channels
         return balance(circuit, fewest)
-    if excess(most) >= 0.0:  # so few do not fit in there: channel 2 brings more
+    if excess(most) >= 0.0:  # fewer are not possible: channel 2 brings more
         return balance(circuit, most)
     return balance(circuit, optimize.brentq(excess, fewest, most, rtol=1e-12))
 
 
 def flows(circuit: Circuit, number2: float) -> Floats:
-    """Return what channels 1 and 2 carry from urn 1 to 2 and back where N2 is `number2`.
+    """Return the flows of channels 1 and 2 from urn 1 to 2 and back at N2 = `number2`.
 
-    Per unit time, shape (channel, way); without what circulates.
+    Per unit time, shape (channel, way); without circulation.
     """
     at = _with_number2(circuit, number2)
     return np.stack([at.through[:, 0], at.across[:, 0]])
 
 
 def straight_at(circuit: Circuit, number2: float) -> Straight:
-    """Return the particles that cross urns without a bounce where N2 is `number2`."""
+    """Return the particles that cross urns without a wall hit at N2 = `number2`."""
     at = _with_number2(circuit, number2)
     return followed(circuit, at.entries[:, 0], at.across[:, 0])
 
 
 def circulating_at(circuit: Circuit, number2: float, ages: ArrayLike) -> Floats:
-    """Return the circulating current where N2 is `number2`, at each age of a run.
+    """Return the circulating current at N2 = `number2`, at each age of a run.
 
-    Age 0 is the current of one round, that is there at once; infinity the stationary one.
+    Age 0 is the current of one round, which is present at once; infinity the stationary one.
     """
     at = _with_number2(circuit, number2)
     urns = [ports.disc(side) for side in circuit.sides]
@@ -268,9 +267,9 @@ def conductance(circuit: Circuit, memory: Memory = ports.disc) -> float:
 
 
 def transition_width(circuit: Circuit, start: float) -> float:
-    """Return the w' at which equal urns' homogeneous state turns stable, NaN without one.
+    """Return the w' at which equal urns' homogeneous state becomes stable, NaN without one.
 
-    `start` is another theory's answer, NaN if it has none; it is looked for around that first.
+    `start` is another theory's result, NaN if it has none; the search begins around it.
     """
     diameter = 2.0 * float(circuit.urn_radius)
 
@@ -278,7 +277,7 @@ def transition_width(circuit: Circuit, start: float) -> float:
         return growth(replace(circuit, channel2_width=width))
 
     if float(circuit.threshold) == 0.0:
-        return 0.0  # any channel 2 at all brings both urns to equal densities
+        return 0.0  # any open channel 2 brings both urns to equal densities
     if at(0.0) <= 0.0:
         return math.nan
     widths = np.geomspace(1e-3, 0.99, WIDTHS_TRIED) * diameter

@@ -1,25 +1,25 @@
-"""All visits to a disc with two opposite openings, piece by piece and without chance.
+"""All visits to a disc with two opposite openings, as deterministic sums over pieces.
 
 A visit that enters through an opening meets the circle, traced back, at an angle y within that
-opening's arc, |y| < asin(w/2r), measured from its middle. Every bounce then adds the same angle
-delta, the chord's, whose angle of incidence psi = (pi - delta)/2 never changes. Entries by the
+opening's arc, |y| < asin(w/2r), measured from its middle. Every wall hit then adds the same angle
+delta, the chord's, whose angle of incidence psi = (pi - delta)/2 is conserved. Entries by the
 cosine law fill (delta, y) with the density r sin(delta/2)/2 (lines: r cos(psi) dpsi dy). Lines that
-meet the arc of an opening at both ends never cross its chord: they are no visits and are left out.
-At a given delta the whole arc of starts turns rigidly: after n chords it is shifted by n delta, and
-what then lies upon an opening leaves. So the visits of one delta fall into a few *pieces*, of y
-that leave together; over delta they change smoothly between places where ends of arcs meet, which
-are known beforehand. Two nodes of Gauss between these make sums over pieces good to 3e-4, and to
-1e-4 if an opening is at least 0.3 r wide.
+meet the arc of an opening at both ends never cross its chord: they are not visits and are left out.
+At a given delta the whole arc of starts rotates rigidly: after n chords it is shifted by n delta,
+and the part that then overlaps an opening leaves. So the visits of one delta are a few *pieces*,
+intervals of y that leave together; over delta they change smoothly between values at which ends of
+arcs meet, which are known beforehand. With two Gauss nodes between these, sums over pieces are
+accurate to 3e-4, and to 1e-4 if an opening is at least 0.3 r wide.
 
-The next shift upon an opening is found by Euclid's algorithm, not step by step: visits of a million
-chords cost as much as those of ten.
+The next shift that overlaps an opening is found by Euclid's algorithm, not step by step: visits of
+a million chords cost as much as those of ten.
 
-Cells grow in number as the square of r over the wider opening. Where that is below `NARROW` of r,
-both openings are taken so much wider that it is `NARROW`; places are scaled back, and chords are as
-many more. In the limit of narrow openings that is exact: the places y + n delta mod 2 pi, in units
-of the opening, are heights of a lattice with a point for each n, and over delta all such lattices
-become equally likely, whatever the incidence. Mean stays are off by less than 0.4 %. (The chance to
-return needs none of this: `returns`.)
+The number of cells grows as the square of r over the wider opening. If that is below `NARROW` of r,
+both openings are enlarged by the same factor such that it is `NARROW`; positions are scaled back,
+and the number of chords is increased by this factor. In the limit of narrow openings that is exact:
+the positions y + n delta mod 2 pi, in units of the opening, are heights of a lattice with a point
+for each n, and over delta all such lattices become equally likely, whatever the incidence. The
+error of mean stays is less than 0.4 %. (The return probability needs none of this: `returns`.)
 """
 
 from __future__ import annotations
@@ -38,13 +38,13 @@ if TYPE_CHECKING:
     Flags = NDArray[np.bool_]
 
 TURN = 2.0 * math.pi
-TOUCH = 1e-13  # arcs that overlap by less do not meet
+TOUCH = 1e-13  # arcs that overlap by less do not touch
 NARROW = 0.05  # of r: narrower openings are scaled up
-LEAST_ORDER = 24  # chords up to which ends of arcs are told apart, at least
-NEAREST = 1e-6  # of a rational part of a turn: the ladder of places towards it ends there
-RUNGS = 12  # of that ladder
-EVEN = 8000  # cells of even width besides, for what more chords do
-LONGEST = 1e7  # chords; what winds on for longer is left out
+LEAST_ORDER = 24  # least number of chords up to which ends of arcs are distinguished
+NEAREST = 1e-6  # distance from a rational part of a turn at which the grid towards it ends
+RUNGS = 12  # points of that grid
+EVEN = 8000  # additional cells of equal width, for visits of more chords
+LONGEST = 1e7  # chords; longer visits are left out
 
 
 @dataclass(frozen=True)
@@ -55,10 +55,10 @@ class Pieces:
     ----------
     weight : share of the entries per unit of y; times `high - low`, the piece's share of them all.
     incidence : psi, between 0 and pi/2; the mirror images with -psi are in the weights.
-    low, high : between which y the piece enters.
-    shift : by how much further from the middle of the opening of exit, than y from that of entry.
-    chords : how many; of narrow openings, on average.
-    same : whether it leaves through the opening it came through.
+    low, high : interval of y of the piece at entry.
+    shift : y at exit, from the middle of the opening of exit, minus y at entry.
+    chords : number of chords; for narrow openings, on average.
+    same : whether it leaves through the opening of entry.
     """
 
     weight: Floats
@@ -71,11 +71,11 @@ class Pieces:
 
     @property
     def share(self) -> Floats:
-        """Share of all entries that each piece holds, shape (piece,)."""
+        """Share of each piece in all entries, shape (piece,)."""
         return self.weight * (self.high - self.low)
 
     def nodes(self) -> tuple[Floats, Floats]:
-        """Return places y and weights (shares of all entries), three a piece: shape (3, piece)."""
+        """Return nodes y and weights (shares of all entries), three per piece: shape (3, piece)."""
         middle, half = 0.5 * (self.high + self.low), 0.5 * (self.high - self.low)
         gap = math.sqrt(0.6) * half
         weights = np.array([[5.0], [8.0], [5.0]]) / 18.0
@@ -85,9 +85,9 @@ class Pieces:
 def first_multiple(step: Floats, turn: Floats, low: Floats, high: Floats) -> Floats:
     """Return the smallest n >= 0 with n step mod turn between low and high; inf without one.
 
-    0 <= low < high < turn, 0 < step < turn; all of shape (case,). Where no multiple of the step
-    lies between, n step - m turn does for the smallest m with m (turn mod step) between -high and
-    -low, mod step: the same question with smaller numbers (Euclid).
+    0 <= low < high < turn, 0 < step < turn; all of shape (case,). If no multiple of the step is
+    between, n step - m turn is, for the smallest m with m (turn mod step) between -high and -low,
+    mod step: the same problem with smaller numbers (Euclid).
     """
     levels = []
     places, found = np.arange(step.size), np.full(step.size, np.inf)
@@ -122,8 +122,8 @@ def _nodes(own: float, other: float) -> tuple[Floats, Floats]:
     """Return nodes and weights over delta = 0 ... pi, by two a cell.
 
     `own` and `other` are the openings' half angles. Cells end where, after n <= `order` chords, an
-    end of the arc of starts meets an end of an opening, and on a ladder towards each rational part
-    of a turn that visits wind around for long.
+    end of the arc of starts meets an end of an opening, and on a grid towards each rational part of
+    a turn, near which visits are long.
     """
     longest = TURN / max(own, other)
     order = max(int(longest) + 8, LEAST_ORDER)
@@ -131,7 +131,7 @@ def _nodes(own: float, other: float) -> tuple[Floats, Floats]:
     count = n // 2 + 1
     n = np.repeat(n, count)
     k = np.arange(n.size) - np.repeat(np.cumsum(count) - count, count)
-    lowest = np.gcd(k, n) == 1  # or fewer chords do the same
+    lowest = np.gcd(k, n) == 1  # else fewer chords do the same
     part, corners = TURN * k[lowest] / n[lowest], n[lowest]
     ends = [part + gap / corners for gap in (-2.0 * own, 0.0, 2.0 * own)]
     lowest = np.gcd(2 * k + 1, n) == 1
@@ -188,7 +188,7 @@ def unit_disc(own_width: float, other_width: float) -> Pieces:
         half = np.where(same, own, other)
         shift = np.mod(chords * delta[node] - np.where(same, 0.0, math.pi) + math.pi, TURN)
         shift -= math.pi
-        first = np.clip(-half - shift, low, high)  # rounding may have it just miss
+        first = np.clip(-half - shift, low, high)  # it may be outside by rounding
         last = np.clip(half - shift, first, high)
         rows.append((node, first, last, shift, chords, same))
         chords = np.where(last > first, chords, chords + 1.0)
@@ -199,7 +199,7 @@ def unit_disc(own_width: float, other_width: float) -> Pieces:
         )
         node, chords = (np.concatenate([x[left], x[right]]) for x in (node, chords))
     node, low, high, shift, chords, same = (np.concatenate(x) for x in zip(*rows, strict=True))
-    # a chord that leaves its arc of starts by the same arc has not crossed the opening
+    # a chord that ends on the arc where it begins has not crossed the opening
     there = (high > low) & ~(same & (chords == 1))
     node, low, high, shift, chords, same = (
         x[there] for x in (node, low, high, shift, chords, same)

@@ -1,9 +1,9 @@
 """Current and chi against the age of a run.
 
-Runs the namelists beside it, into build/age_of_a_run/quick, or full, and writes results.csv and
-age_of_a_run.png: means in logarithmic bins of age with errors over replicas, and the current of the
-theory two_port at those ages. Quick: 40 replicas to an age of 1e4, half a minute. --full: as the
-namelists say, about ten minutes of a core and 0.3 GB.
+Runs the namelists of this folder, into build/age_of_a_run/quick, or full, and writes results.csv
+and age_of_a_run.png: means in logarithmic bins of age with errors over replicas, and the current of
+the theory two_port at those ages. Quick: 40 replicas to an age of 1e4, half a minute. --full: the
+namelists unchanged, about ten minutes of a core and 0.3 GB.
 """
 
 from __future__ import annotations
@@ -24,13 +24,13 @@ if TYPE_CHECKING:
 
 POINTS = ("reference", "inside", "near_transition")
 QUICK = {"scan": {"replicas": 40}, "run": {"duration": 1e4}}
-BINS = 4  # a decade of age
+BINS = 4  # per decade of age
 FIELDS = ("point", "T", "w2", "from", "to", "current", "current_error", "theory", "chi",
           "chi_error", "replicas")  # fmt: skip
 
 
 def bins_of(longest: float, interval: float) -> np.ndarray:
-    """Return the edges of bins of age, whole intervals, the first 0."""
+    """Return the edges of bins of age, multiples of the interval, from 0."""
     count = round(BINS * math.log10(longest / interval)) + 1
     edges = np.geomspace(interval, longest, count)
     return np.unique(np.concatenate([[0.0], np.round(edges / interval) * interval]))
@@ -48,20 +48,20 @@ def rows_of(work: study.Study, name: str) -> list[dict[str, object]]:
     data = postproc.open_results(file, group="series").squeeze()
     time = data.time.to_numpy()
     number, first = float(groups["particles"]["number"]), data.urn1_number.to_numpy()
-    # of the urn that is the fuller one at the end of each interval
+    # polarised current: of the urn that is the fuller one at the end of each interval
     current = (data.flow2_21 - data.flow2_12).to_numpy() * np.sign(0.5 * number - first)
     spread = np.abs(1.0 - 2.0 * first / number)
     edges = bins_of(time[-1], time[1] - time[0])
     bins = list(itertools.pairwise(edges.tolist()))
     keys = {"threshold": groups["gate"]["threshold"], "number": groups["particles"]["number"]}
     keys |= {key: groups["table"][key] for key in ("channel1_width", "channel2_width")}
-    told = work.theory("two_port", **keys, age=[middle(*one) for one in bins])["by_age"]
+    theory = work.theory("two_port", **keys, age=[middle(*one) for one in bins])["by_age"]
     found = []
-    for (low, high), said in zip(bins, told, strict=True):
+    for (low, high), predicted in zip(bins, theory, strict=True):
         here = (time > low) & (time <= high)
         row = {"point": name, "T": groups["gate"]["threshold"],
                "w2": groups["table"]["channel2_width"], "from": low, "to": high,
-               "theory": said["net_current"], "replicas": first.shape[0]}  # fmt: skip
+               "theory": predicted["net_current"], "replicas": first.shape[0]}  # fmt: skip
         for quantity, values in (("current", current), ("chi", spread)):
             own = np.nanmean(values[:, here], axis=1)  # a run may end just before its last entry
             row[quantity] = own.mean()
@@ -71,7 +71,7 @@ def rows_of(work: study.Study, name: str) -> list[dict[str, object]]:
 
 
 def figure(rows: list[dict[str, object]]) -> Figure:
-    """Return current and chi against age, over what they are at the end."""
+    """Return current and chi against age, over their final values."""
     made = style.figure(style.PAGE, 3.2)
     panels = made.subplots(1, 2)
     for at, name in enumerate(POINTS):

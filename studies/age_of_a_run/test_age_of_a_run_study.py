@@ -30,8 +30,8 @@ def test_rows_have_runs_and_theory_of_each_age(
     rows = ages.rows_of(Study(tmp_path, HERE, ranks=1), "reference")
     assert (rows[0]["from"], rows[0]["to"], rows[-1]["to"]) == (0.0, 100.0, 300.0)
     assert all(row["replicas"] == 2 and 0.9 < row["chi"] < 1.0 for row in rows)
-    kept = csv.DictReader((HERE / "results.csv").open())
-    here = next(row for row in kept if row["point"] == "reference" and row["to"] == "100")
+    published = csv.DictReader((HERE / "results.csv").open())
+    here = next(row for row in published if row["point"] == "reference" and row["to"] == "100")
     assert rows[0]["theory"] == pytest.approx(float(here["theory"]), rel=1e-4)
 
 

@@ -1,6 +1,6 @@
-"""How circulations begin and end, and the current they carry: tables and picture of the page.
+"""Rates at which circulations begin and end, and their current: tables and picture of the page.
 
-Event logs of nine circuits, around T = 7, w' = 0.01, l' = 1, against particles that theory follows
+Event logs of nine circuits, around T = 7, w' = 0.01, l' = 1, against the theory of circulation
 (postproc/theory/circulation.py). Quick: one log of 3e4 time units each, two minutes of a core.
 --full: eight of 1e5, fifteen minutes.
 """
@@ -22,7 +22,7 @@ from postproc.theory import two_port
 from postproc.theory.circuit import Circuit
 from postproc.theory.models import MODELS
 from studies.circulations import TRANSIENT, circulations
-from studies.event_log import circuit_of, read_log, stories
+from studies.event_log import circuit_of, particle_events, read_log
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -41,7 +41,7 @@ AGES, WIDTHS = (Path(__file__).parents[1] / f"{one}/results.csv"
 
 @dataclass(frozen=True)
 class Case:
-    """What a circuit has besides N = 1000, w = 0.3, r = l = 1."""
+    """Parameters of a circuit besides N = 1000, w = 0.3, r = l = 1."""
 
     threshold: int = 7
     channel2_width: float = 0.01
@@ -49,7 +49,7 @@ class Case:
 
     @property
     def circuit(self) -> Circuit:
-        """The circuit as `two_port` asks for it."""
+        """The circuit for `two_port`."""
         return MODELS["two_port"].of(
             Circuit(1000, self.threshold, channel2_width=self.channel2_width,
                     channel2_length=self.channel2_length)
@@ -74,10 +74,10 @@ def state_of(circuit: Circuit, model: str = "two_port") -> State:
 
 
 def reached(straight: Straight) -> Floats:
-    """Return how often per unit time a passage from urn 2 to 1 is the m-th round, of `ROUNDS`.
+    """Return the rate at which passages from urn 2 to 1 are the m-th round, for m of `ROUNDS`.
 
-    A round is a way from the middle of channel 1 through urn 2 and channel 2, without a bounce, as
-    event logs have it: what gates turn back begins anew.
+    A round is a path from the middle of channel 1 through urn 2 and channel 2 without a wall hit in
+    an urn, as in event logs: after a reversal by a gate the count begins again.
     """
     rates = np.zeros(ROUNDS[-1] + 1)
     for start in (0, 1):
@@ -96,7 +96,7 @@ def reached(straight: Straight) -> Floats:
 
 
 def measured(work: study.Study, at: int, case: Case) -> tuple[Floats, Floats]:
-    """Return how often per unit time event logs have a passage as the m-th round, with errors."""
+    """Return the rate of passages that are the m-th round in event logs, with errors."""
     logs, end = int(work.pick(1, 8)), work.pick(3e4, 1e5)
     number = round(1000.0 - state_of(case.circuit).urn2_number)
     counts = np.zeros((logs, ROUNDS.size))
@@ -109,7 +109,8 @@ def measured(work: study.Study, at: int, case: Case) -> tuple[Floats, Floats]:
             "run": {"duration": end},
         }  # fmt: skip
         path = work.run("circuit", f"case_{at}_{seed}", changes, alone=True)
-        found = circulations(stories(read_log(path)), circuit_of(postproc.open_results(path)))
+        events = particle_events(read_log(path))
+        found = circulations(events, circuit_of(postproc.open_results(path)))
         rounds = found.rounds[found.sign == 1]
         counts[seed] = [np.count_nonzero(rounds == m) for m in ROUNDS]
         path.unlink()
@@ -122,21 +123,23 @@ def rates(work: study.Study) -> list[Row]:
     """Return a row for each circuit and number of rounds."""
     rows: list[Row] = []
     for at, case in enumerate(CASES):
-        kept = work.kept(f"rates_{at}")
-        if kept is None or work.afresh:
+        stored = work.kept(f"rates_{at}")
+        if stored is None or work.afresh:
             seen, error = measured(work, at, case)
-            kept = {"seen": list(seen), "error": list(error)}
-            work.keep(f"rates_{at}", kept)
+            stored = {"seen": list(seen), "error": list(error)}
+            work.keep(f"rates_{at}", stored)
         expected = reached(two_port.straight_at(case.circuit, state_of(case.circuit).urn2_number))
         rows += [
             {"circuit": case.label, "rounds": str(m), "measured": one, "error": other, "theory": it}
-            for m, one, other, it in zip(ROUNDS, kept["seen"], kept["error"], expected, strict=True)
+            for m, one, other, it in zip(
+                ROUNDS, stored["seen"], stored["error"], expected, strict=True
+            )
         ]
     return rows
 
 
-def told(circuit: Circuit, ages: list[float]) -> list[Row]:
-    """Return what `direction` has at each age, and without what circulates, by size."""
+def theory_by_age(circuit: Circuit, ages: list[float]) -> list[Row]:
+    """Return absolute currents of `direction` at each age, and without circulation."""
     state = state_of(circuit, "direction")
     rest = abs(state.net_current - (state.circulating_current or 0.0))
     return [{"theory": abs(one["net_current"]), "without": rest}
@@ -144,9 +147,9 @@ def told(circuit: Circuit, ages: list[float]) -> list[Row]:
 
 
 def by_age() -> list[Row]:
-    """Return currents of *The age of a run* beside those of theory at the age.
+    """Return currents of *The age of a run* with those of theory at the age.
 
-    Theory: `direction` without what circulates, and that at the age.
+    Theory: `direction` without circulation, and with circulation at the age.
     """
     rows: list[Row] = []
     with AGES.open(encoding="utf-8") as file:
@@ -157,13 +160,13 @@ def by_age() -> list[Row]:
         ages = [math.sqrt(float(row["from"]) * float(row["to"])) for row in own]
         rows += [{
             "T": threshold, "w'": row["w2"], "from": float(row["from"]), "to": float(row["to"]),
-            "current": float(row["current"]), "error": float(row["current_error"]), **said,
-        } for row, said in zip(own, told(circuit, ages), strict=True)]  # fmt: skip
+            "current": float(row["current"]), "error": float(row["current_error"]), **predicted,
+        } for row, predicted in zip(own, theory_by_age(circuit, ages), strict=True)]  # fmt: skip
     return rows
 
 
 def by_width() -> list[Row]:
-    """Return currents of *The limit of narrow channels* beside those of theory at their age."""
+    """Return currents of *The limit of narrow channels* with those of theory at their age."""
     rows: list[Row] = []
     with WIDTHS.open(encoding="utf-8") as file:
         table = [row for row in csv.DictReader(file) if row["current"]]
@@ -177,13 +180,13 @@ def by_width() -> list[Row]:
         rows.append({
             "circuit": row["circuit"], "w": row["w"], "age": age,
             "current": float(row["current"]), "error": float(row["current_error"]),
-            **told(circuit, [age])[0],
+            **theory_by_age(circuit, [age])[0],
         })  # fmt: skip
     return rows
 
 
 def figure(rates: list[Row], ages: list[Row], widths: list[Row]) -> Figure:
-    """Return how often rounds are reached, over theory; currents by age; by width, over theory."""
+    """Return rates of rounds over theory; currents by age; currents by width over theory."""
     made = style.figure(style.PAGE, 3.4)
     reached, aged, wide = made.subplots(1, 3)
     for at, case in enumerate(CASES):
@@ -222,7 +225,7 @@ def figure(rates: list[Row], ages: list[Row], widths: list[Row]) -> Figure:
 
 
 def run(work: study.Study) -> None:
-    """Make everything of the page."""
+    """Make all tables and pictures of the page."""
     tables = {"rates": rates(work), "ages": by_age(), "widths": by_width()}
     for name, rows in tables.items():
         work.table(name, list(rows[0]), [[_text(one) for one in row.values()] for row in rows])

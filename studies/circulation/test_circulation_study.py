@@ -1,4 +1,4 @@
-"""Theory has the rates of rounds that runs have, for each length of channel 2."""
+"""Rates of rounds of theory agree with runs, for each length of channel 2."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ EIGHT = list(ROUNDS).index(8)
 def test_eighth_rounds_are_as_frequent_as_in_runs(
     case: Case, measured: float, error: float
 ) -> None:
-    """Measured by other runs, of `studies/experiments`; theory has a statistical error of 3 %."""
+    """Measured rates are from `studies/experiments`; theory has a statistical error of 3 %."""
     state = circulation.state_of(case.circuit)
     found = circulation.reached(two_port.straight_at(case.circuit, state.urn2_number))
     assert abs(found[EIGHT] - measured) < 4.0 * np.hypot(error, 0.03 * measured)
 
 
 def test_rounds_are_reached_one_after_the_other() -> None:
-    """With open gates none begins anew: later rounds are less frequent than earlier ones."""
+    """With open gates no count restarts: later rounds are less frequent than earlier ones."""
     circuit = Case(threshold=1000).circuit
     found = circulation.reached(two_port.straight_at(circuit, 500.0))
     assert np.all(np.diff(found) <= 0.0)

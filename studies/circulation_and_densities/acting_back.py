@@ -1,18 +1,18 @@
-"""States of two ports with circulation in the balance: what it changes of the numbers in the urns.
+"""States of `two_port` with circulation in the balance, which changes the numbers in the urns.
 
-postproc/theory/circulation.py adds the circulating current to a state. Here the flows that cross
-an urn straight, more than two ports have (`down` from channel 1 to channel 2, `up` the other way),
-are part of the balance. With b_i what channel 1 brings into urn i, c_i = f_j what channel 2 brings,
-S_i = (1 - P12) down_i - a up_i, d the way across an urn, and q' the share of the shortest stay:
+postproc/theory/circulation.py adds the circulating current to a state. Here the flows that cross an
+urn straight, in excess of `two_port` (`down` from channel 1 to channel 2, `up` the other way), are
+part of the balance. With b_i and c_i = f_j the inflows of urn i by channels 1 and 2, S_i = (1 -
+P12) down_i - a up_i, d the distance across an urn, and q' the share of the shortest stay:
 
     e_i = (1 - P12) b_i + (1 - a) c_i - S_i            f_i = P12 b_i + a c_i + S_i
     n_i = t1 b_i + t2 c_i - (t1 - d) down_i - (t2 - d) up_i
     gate i lets through q_i (e_i - up_i) + q'_i up_i, at load (e_i - up_i) pi l/4 + up_i l/2
 
-since who crosses an urn straight is there for d, and who enters a gate along the axis is there for
-l/2. A state is where the gates send as much as channel 2 brings back, with all N particles held;
-walls send e_i - up_i and f_i - down_i, from which `down` and `up` are found again. No fitted
-number; without `down` and `up` this is `two_port`.
+since a particle that crosses an urn straight is in it for d, and one that enters a gate along the
+axis is in it for l/2. In a state the flow through the gates equals that of channel 2 back, for N
+particles; the flows from walls are e_i - up_i and f_i - down_i, from which `down` and `up` are
+computed again. No number is fitted; without `down` and `up` this is `two_port`.
 """
 
 from __future__ import annotations
@@ -34,14 +34,14 @@ if TYPE_CHECKING:
 
     Floats = NDArray[np.float64]
 
-ITERATIONS = 12  # at most, of states and what circulates in them
+ITERATIONS = 12  # at most, of states and their circulation
 AGREED = 1e-9  # change of N2, relative to N, at which it ends
-APART = (1.02, 1.1, 1.25, 1.5, 2.0)  # factors of the emptier urn's share, to look for a state
+APART = (1.02, 1.1, 1.25, 1.5, 2.0)  # factors of the emptier urn's share, to bracket a state
 
 
 @dataclass(frozen=True)
 class Passing:
-    """What crosses urns straight per unit time, more than two ports have, shape (urn,).
+    """Flows that cross urns straight in excess of `two_port`, per unit time, shape (urn,).
 
     Attributes
     ----------
@@ -72,7 +72,7 @@ NOTHING = Passing(np.zeros(2), np.zeros(2), np.ones(2))
 
 
 def passing(circuit: Circuit, entries: Floats, across: Floats, age: float) -> Passing:
-    """Return what crosses urns straight at an age, if walls send `entries` and `across`."""
+    """Return the flows that cross urns straight at an age, for flows from walls."""
     straight = circulation.followed(circuit, entries, across)
     rounds = np.asarray(age / circulation.round_time(circuit))
     decay = -math.log(min(max(float(straight.share.max()), 1e-300), 1.0 - 1e-12))
@@ -86,7 +86,7 @@ def passing(circuit: Circuit, entries: Floats, across: Floats, age: float) -> Pa
 
 
 class Balance:
-    """Both urns of a circuit with what passes them straight."""
+    """Both urns of a circuit with the flows that cross them straight."""
 
     def __init__(self, circuit: Circuit, known: Passing) -> None:
         """Prepare the ports."""
@@ -99,7 +99,7 @@ class Balance:
         self.threshold = np.array([float(side.threshold) for side in circuit.sides])
 
     def flows(self, arriving1: Floats) -> tuple[Floats, Floats, Floats, Floats]:
-        """Return e, f, what gates let through and the halves' numbers; shape (urn,) each."""
+        """Return e, f, the flows through the gates and the halves' numbers; shape (urn,) each."""
         down, up, share = self.known.down, self.known.up, self.known.share
         source = (1.0 - self.across) * down - self.back * up
         leaving2 = self.across * arriving1 + source
@@ -120,7 +120,7 @@ class Balance:
         return entries, leaving2, slow + fast, in_urn + turning + flying + flying[::-1]
 
     def state(self, first: float) -> tuple[Floats, Floats, Floats, Floats]:
-        """Return the flows where N particles are held, and `first`/N of b comes to urn 1."""
+        """Return the flows with N particles, and the share `first`/N of b in urn 1."""
         number = float(self.circuit.number)
         shares = np.array([first, number - first]) / number
 
@@ -132,7 +132,7 @@ class Balance:
         return self.flows(found * shares)
 
     def excess(self, first: float) -> float:
-        """Return what the gates send from half 1 to 2 more than channel 2 brings back."""
+        """Return the flow of the gates from half 1 to 2 minus that of channel 2 back."""
         _, across, through, _ = self.state(first)
         return float(through[0] - through[1] - across[1] + across[0])
 

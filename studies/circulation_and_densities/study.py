@@ -49,7 +49,7 @@ class Case:
 
     @property
     def circuit(self) -> Circuit:
-        """The circuit as theories take it."""
+        """The circuit for theories."""
         one, two = self.thresholds
         return Circuit(self.number, one, self.width, self.channel2_width,
                        channel2_length=self.channel2_length,
@@ -71,10 +71,10 @@ NEW = (
 
 
 def predicted(case: Case, age: float) -> Row:
-    """Return chi and net current of `direction`, and how much circulation in the balance changes.
+    """Return chi and net current of `direction`, and their changes by circulation in the balance.
 
-    The current of `direction` has circulation, at the age, added; its change is what remains if the
-    balance is solved with it.
+    The current of `direction` includes circulation at the age; its change is the difference to the
+    solution with circulation in the balance.
     """
     model = MODELS["direction"]
     circuit = model.of(case.circuit)
@@ -91,7 +91,7 @@ def predicted(case: Case, age: float) -> Row:
 
 
 def measured(work: study.Study, at: int, case: Case, number1: float) -> Row:
-    """Run a new circuit; return means over replicas with errors, and whether polarity was kept."""
+    """Run a new circuit; return means over replicas with errors, and whether polarity changed."""
     changes = {
         "table": {"channel1_width": case.width, "channel2_width": case.channel2_width,
                   "channel2_length": case.channel2_length},
@@ -102,8 +102,8 @@ def measured(work: study.Study, at: int, case: Case, number1: float) -> Row:
     }  # fmt: skip
     data = postproc.open_results(work.run("densities", f"new_{at}", changes)).squeeze()
     currents = abs(data.current2), data.polarised_current
-    kept = bool((currents[0] > 0.99 * currents[1]).all())
-    found: Row = {"polarity": "kept" if kept else "changed"}
+    constant = bool((currents[0] > 0.99 * currents[1]).all())
+    found: Row = {"polarity": "kept" if constant else "changed"}
     for name, values in (("chi", data.chi), ("current", data.current2)):
         own = np.abs(values.to_numpy())
         found |= {name: own.mean(), f"{name}_error": own.std(ddof=1) / math.sqrt(own.size)}
@@ -111,7 +111,7 @@ def measured(work: study.Study, at: int, case: Case, number1: float) -> Row:
 
 
 def known() -> list[tuple[Case, float, Row]]:
-    """Return circuits of other pages, the age of their runs, and what these have."""
+    """Return circuits of other pages, the age of their runs, and their results."""
     found = []
     with (STUDIES / "age_of_a_run/results.csv").open(encoding="utf-8") as file:
         rows = {row["point"]: row for row in csv.DictReader(file)}.values()  # the last of each
@@ -135,25 +135,25 @@ def rows_of(work: study.Study) -> list[Row]:
     rows = [{"circuit": case.label, "runs": "known", **predicted(case, age), **seen}
             for case, age, seen in known()]  # fmt: skip
     for at, case in enumerate(NEW):
-        said = predicted(case, TRANSIENT + 0.5 * work.pick(5e3, 1e5))
-        seen = measured(work, at, case, float(said["number1"]))
-        rows.append({"circuit": case.label, "runs": "new", **said, **seen})
+        theory = predicted(case, TRANSIENT + 0.5 * work.pick(5e3, 1e5))
+        seen = measured(work, at, case, float(theory["number1"]))
+        rows.append({"circuit": case.label, "runs": "new", **theory, **seen})
     return rows
 
 
 def figure(rows: list[Row]) -> Figure:
-    """Return how far runs that kept their polarity are from `direction`, against the change."""
+    """Return differences of runs of constant polarity from `direction`, against the change."""
     made = style.figure(style.PAGE, 3.4)
     panels = (("chi", 1e3, "chi, in 0.001"), ("current", 1e2, "current, in per cent"))
     for axes, (name, unit, title) in zip(made.subplots(1, 2), panels, strict=True):
         for kind, mark in (("known", "o"), ("new", "s")):
             own = [row for row in rows if row["runs"] == kind and row["polarity"] == "kept"]
             whole = [1.0 if name == "chi" else row["direction_current"] for row in own]
-            change, error, seen, said = (
+            change, error, seen, theory = (
                 np.array([unit * row[key] / by for row, by in zip(own, whole, strict=True)])
                 for key in (f"{name}_change", f"{name}_error", name, f"direction_{name}")
             )
-            axes.errorbar(change, seen - said, error, fmt=mark, ms=4.0, lw=0.8, mfc="none",
+            axes.errorbar(change, seen - theory, error, fmt=mark, ms=4.0, lw=0.8, mfc="none",
                           label=f"{kind} runs")  # fmt: skip
         axes.axhline(0.0, color="black", lw=0.8, ls=":")
         axes.axline((0.0, 0.0), slope=1.0, color="black", lw=0.8)
@@ -164,7 +164,7 @@ def figure(rows: list[Row]) -> Figure:
 
 
 def run(work: study.Study) -> None:
-    """Make everything of the page."""
+    """Make all tables and pictures of the page."""
     rows = rows_of(work)
     work.table("densities", list(rows[0]), [[_text(one) for one in row.values()] for row in rows])
     work.draw(figure(rows), "circulation_and_densities")

@@ -36,7 +36,7 @@ def test_urns_send_as_much_as_they_receive() -> None:
 
 
 def test_nothing_changes_in_a_circuit_with_open_gates() -> None:
-    """All is filled evenly: straight passages are those of two ports; 0.5 % of them is noise."""
+    """Phase space is filled uniformly: straight passages are those of `two_port`, to 0.5 %."""
     circuit = MODELS["two_port"].of(Case((1000, 1000), 0.3, 0.0612).circuit)
     at = two_port.balance(circuit, 500.0)
     entries, across = at.entries[:, 0], at.across[:, 0]

@@ -1,11 +1,11 @@
-"""What entered channel 1, given what left it: the weight of all pasts, many particles, any T.
+"""Entries into channel 1, given its exits: the weight of all pasts, many particles, any T.
 
-If entries are Poisson, a past weighs the product of its entries' rates. All pasts have the same
-particles that leave; so one weighs as much as if all had been turned, times the ratio of the rates
-for each that came through, which is known once that is at the middle line. Pasts are weighed
-together, going back: two that have the same particles in the channel, doing the same, are one, with
-the sum of their weights. Whom a hypothetical reversal turned is decided only where it makes a
-difference: where a particle would enter if it was turned, or be at the middle line if it was not.
+If entries are Poisson, the weight of a past is the product of its entries' rates. All pasts have
+the same exits; so the weight is that of all particles reversed, times the ratio of the rates for
+each that came through, which is known once it is at the middle line. Pasts are computed together,
+backwards in time: two with the same particles in the channel, in the same states, are one, with the
+sum of their weights. Which particles a hypothetical reversal has reversed is decided only when it
+matters: where a particle would enter if it was reversed, or be at the middle line if it was not.
 """
 
 from __future__ import annotations
@@ -32,9 +32,9 @@ class Gate(NamedTuple):
 
     Attributes
     ----------
-    outward : passes on their way out of it, the one that leaves last first.
-    counted : (when it entered, pass) of those that are counted and known, in the order of time.
-    unknown : how many more of `outward` are counted, since they are turned at `fired`.
+    outward : passes that move outwards, the one that leaves last first.
+    counted : (time of entry, pass) of those that are counted and known, in the order of time.
+    unknown : how many more of `outward` are counted, since they are reversed at `fired`.
     fired : time of that reversal, minus infinity if `unknown` is 0.
     """
 
@@ -45,14 +45,14 @@ class Gate(NamedTuple):
 
 
 class Situation(NamedTuple):
-    """Both gates in a past, and the next time, going back, at which something happens to them."""
+    """Both gates in a past, and the time of their next event backwards in time."""
 
     gates: tuple[Gate, Gate]
     next: float
 
 
 class Past(NamedTuple):
-    """A situation, the weight of all histories that follow it, and whether the true one is such."""
+    """A situation, the weight of all histories that follow it, and whether the true one does."""
 
     situation: Situation
     weight: float
@@ -60,20 +60,20 @@ class Past(NamedTuple):
 
     @property
     def inside(self) -> int:
-        """Return how many particles are in the channel."""
+        """Return the number of particles in the channel."""
         return sum(len(gate.outward) + len(gate.counted) for gate in self.situation.gates)
 
 
 @dataclass(frozen=True)
 class Weighed:
-    """How much all pasts weigh, over the weight of the true one, as the depth grows.
+    """Weight of all pasts, over that of the true one, against depth.
 
     Attributes
     ----------
-    time : of each particle that leaves channel 1, descending.
+    time : times at which particles leave channel 1, descending.
     log_ratio : logarithm of this ratio just before.
-    pasts : how many were told apart then.
-    lost : largest share of the weight dropped at one of them; most of it would have died later.
+    pasts : number of different pasts then.
+    lost : largest share of the weight dropped at one of them; most of it would have become invalid.
     """
 
     time: NDArray[np.float64]
@@ -83,7 +83,7 @@ class Weighed:
 
 
 class Channel:
-    """Passes through channel 1, and the rule by which pasts of what left it are found."""
+    """Passes through channel 1, and the rule that gives the pasts of their exits."""
 
     def __init__(self, passes: Sequence[Pass], threshold: int, rates: Sequence[float]) -> None:
         """Take passes in the order in which they leave, and the rates of entries from both urns."""
@@ -124,7 +124,7 @@ class Channel:
         return Situation((one, other), following)
 
     def _undecided(self, gate: Gate, now: float) -> int:
-        """Return how many of those on their way out may have been turned at `fired`."""
+        """Return how many of those moving outwards may have been reversed at `fired`."""
         return sum(
             self.left[at] > gate.fired
             and max(self.left[at] - self.half[at], 2.0 * gate.fired - self.left[at]) < now
@@ -132,9 +132,9 @@ class Channel:
         )
 
     def _step(self, past: Situation) -> Iterator[tuple[Situation, float, bool]]:
-        """Yield what may be just before the next time.
+        """Yield the possible situations just before the next time.
 
-        Each with the factor of its weight, and whether it is so in the history if `past` is.
+        Each with the factor of its weight, and whether it is the true one if `past` is.
         """
         now = past.next
         for which, gate in enumerate(past.gates):
@@ -170,7 +170,7 @@ class Channel:
     def _through(
         self, past: Situation, which: int, at: int, others: tuple[int, ...]
     ) -> Situation | None:
-        """Return the past in which a pass came from the other gate; None if that has T already."""
+        """Return the past in which a pass came from the other gate; None if that counts T."""
         gate, other = past.gates[which], past.gates[1 - which]
         if len(other.counted) + other.unknown == self.threshold:
             return None
@@ -185,7 +185,7 @@ class Channel:
         return self._situation(*pair, past.next)
 
     def _until(self, past: Past, time: float, found: dict[tuple[Gate, Gate], Past]) -> None:
-        """Add to `found` what may be at a time: what is the same becomes one, with both weights."""
+        """Add to `found` the possible pasts at a time; equal ones are merged, with both weights."""
         todo = [past]
         while todo:
             one, weight, true = todo.pop()
@@ -199,7 +199,7 @@ class Channel:
     def _leaves(
         self, past: Situation, at: int, side: int
     ) -> Iterator[tuple[Situation, float, bool]]:
-        """Yield what may have been just before a particle left, as `_step` does."""
+        """Yield the possible situations just before a particle left, as `_step` does."""
         gate, now = past.gates[side - 1], self.left[at]
         entrant = self.passes[at].turned == now
         out = gate._replace(outward=(*gate.outward, at))
@@ -211,10 +211,11 @@ class Channel:
             yield self._situation(*pair, now), 1.0, entrant
 
     def weigh(self, begin: float, end: float, most: int) -> Weighed:
-        """Weigh all pasts of what left between two times.
+        """Compute the weight of all pasts of the exits between two times.
 
-        Of more than `most`, the true one and the heaviest go on: then the sum is too small. One
-        with many particles in the channel has still to explain them: it counts for less.
+        Of more than `most` pasts, the true one and the heaviest are continued: then the sum is too
+        small. The weight of a past with many particles in the channel is reduced by the rates of
+        their entries.
         """
         rate = sum(self.rates)
         present = self.truth(end)
@@ -238,14 +239,14 @@ class Channel:
             times.append(now)
             ratios.append(log_all + math.log(total) - log_true)
             counts.append(len(found))
-            kept = list(found.values())
-            if len(kept) > most:
-                kept.sort(key=lambda one: (not one.true, -one.weight * rate ** -one.inside))
-                lost = max(lost, sum(one.weight for one in kept[most:]) / total)
-                kept = kept[:most]
+            heaviest = list(found.values())
+            if len(heaviest) > most:
+                heaviest.sort(key=lambda one: (not one.true, -one.weight * rate ** -one.inside))
+                lost = max(lost, sum(one.weight for one in heaviest[most:]) / total)
+                heaviest = heaviest[:most]
             log_all += math.log(total)
             pasts = [Past(other, one.weight * factor / total, one.true and so)
-                     for one in kept
+                     for one in heaviest
                      for other, factor, so in self._leaves(one.situation, at, side)]  # fmt: skip
             if not any(one.true for one in pasts):
                 raise AssertionError("the true past is not among all")

@@ -1,15 +1,14 @@
 """All pasts of a present state of few particles, with the exact rule of the gates.
 
-Backwards in time every particle flies with its velocity turned. One that reaches a chord from the
-urn left its gate there: either it had come through, or been turned before, and flies on towards the
-middle line; or the gate fired at that instant, and it is back in the urn. The second is possible if
-no particle is counted in that gate; then any T of those on their way out were counted. A past is
-invalid where it comes to more than T that are counted: the last entry would have made the gate
-fire.
+Backwards in time every particle moves with reversed velocity. One that reaches a chord from the urn
+left its gate there: either it had come through, or been reversed before, and continues towards the
+middle line; or the gate reversed at that time, and the particle is back in the urn. The second is
+possible if no particle is counted in that gate; then any T of those moving outwards were counted. A
+past is invalid if more than T are counted: the last entry would have caused a reversal.
 
-Rounding errors grow too fast for a run back over more than some 60 time units. So particles that do
-in a past what they did in the history take their passes from there. Those that did not are computed
-from where they parted; they are typical of the past, if not exact.
+Rounding errors grow too fast for a run back over more than about 60 time units. So the passes of
+particles that are the same in a past as in the history are taken from the history. The others are
+computed from the point of difference; they are typical of the past, but not exact.
 """
 
 from __future__ import annotations
@@ -32,22 +31,22 @@ if TYPE_CHECKING:
 
     Floats = NDArray[np.float64]
 
-AWAY, OUTWARD, COUNTED = 0, 1, 2  # in forward time: not in channel 1, on the way out of it, counted
+AWAY, OUTWARD, COUNTED = 0, 1, 2  # forward in time: outside channel 1, moving outwards, counted
 UNKNOWN = -1
 NOWHERE = Ray(0, 0.0, 1.0, 0.0)
 
 
 class Backward(NamedTuple):
-    """A particle of a past: what it does, going back, and when that ends.
+    """A particle of a past: its status, backwards in time, and the end of this status.
 
     Attributes
     ----------
-    status : AWAY until `until`, when it comes into its gate; OUTWARD until it is at the middle
-        line; COUNTED until it is at the chord.
+    status : AWAY until `until`, when it enters its gate; OUTWARD until it is at the middle line;
+        COUNTED until it is at the chord.
     until : time before the present.
-    since : if OUTWARD, when it came in.
-    ray : at the chord where it came in, or will come in or leave; the gate is `ray.side`.
-    known : index of its pass in the history, as long as it does what it did there.
+    since : if OUTWARD, the time at which it entered.
+    ray : at the chord where it entered, or will enter or leave; the gate is `ray.side`.
+    known : index of its pass in the history, as long as it is the same there.
     """
 
     status: int
@@ -59,12 +58,12 @@ class Backward(NamedTuple):
 
 @dataclass(frozen=True)
 class Pasts:
-    """The tree of all pasts; one that branches goes on as one of its branches.
+    """The tree of all pasts; one that branches is continued as one of its branches.
 
     Attributes
     ----------
-    born, died : times before the present; that of those that are there at the end is infinite.
-    states : of those that are there at the end, at that depth.
+    born, died : times before the present; infinite for those that exist at the end.
+    states : states of those that exist at the end, at that depth.
     """
 
     born: Floats
@@ -72,7 +71,7 @@ class Pasts:
     states: list[list[Backward]]
 
     def number(self, depth: ArrayLike) -> NDArray[np.int64]:
-        """Return how many pasts there are at each depth."""
+        """Return the number of pasts at each depth."""
         wanted = np.asarray(depth, float)[..., None]
         return np.sum((self.born <= wanted) & (wanted < self.died), axis=-1)
 
@@ -87,15 +86,15 @@ class History:
         self.entered = [[one.entered for one in mine] for mine in self.passes]
 
     def state(self, time: float) -> list[Backward]:
-        """Return the state at a time, as pasts begin."""
+        """Return the state at a time, from which pasts begin."""
         return [
             self._present(particle, int(np.searchsorted(entered, time, "right")) - 1, time)
             for particle, entered in enumerate(self.entered)
         ]
 
     def _present(self, particle: int, known: int, time: float) -> Backward:
-        """Return a particle at a time, the pass that it is in or had last being known."""
-        if known < 0:  # it has not been in channel 1 yet
+        """Return a particle at a time, from its current or last pass."""
+        if known < 0:  # before its first pass
             return Backward(AWAY, math.inf, 0.0, NOWHERE)
         one = self.passes[particle][known]
         if time < min(one.turned, one.entered + one.half):
@@ -107,7 +106,7 @@ class History:
 
 
 class Tree:
-    """The rule, back from one present, at `time` of a history if there is one."""
+    """The rule backwards from one present, at `time` of a history if there is one."""
 
     def __init__(
         self, table: Table, threshold: int, history: History | None = None, time: float = 0.0
@@ -115,7 +114,7 @@ class Tree:
         self.table, self.threshold, self.history, self.time = table, threshold, history, time
 
     def pasts(self, present: Sequence[Backward], depth: float) -> Pasts:
-        """Return all pasts of a state, down to a depth; the history, if known, goes on as it."""
+        """Return all pasts of a state, down to a depth; the history, if known, keeps its index."""
         lives: list[tuple[float, float]] = []
         states: list[list[Backward]] = []
         todo = [(list(present), 0.0)]
@@ -138,7 +137,7 @@ class Tree:
         return Pasts(born, died, states)
 
     def _before(self, past: list[Backward], first: int) -> list[list[Backward]]:
-        """Return what may have been before something happens to a particle, what was first."""
+        """Return the possible pasts before an event of a particle, the history first."""
         one, gate = past[first], past[first].ray.side
         counted = sum(other.status == COUNTED and other.ray.side == gate for other in past)
         if one.status == COUNTED:
@@ -166,7 +165,7 @@ class Tree:
         return branches
 
     def _with_known(self, particle: int, one: Backward, *, fired: bool) -> Backward:
-        """Return a particle that comes into a gate, or is its entrant; what it did, if so."""
+        """Return a particle that enters a gate backwards, or is its entrant, as in the history."""
         if one.known != UNKNOWN:
             did = self.history.passes[particle][one.known]
             if (did.turned == did.left) != fired:
@@ -174,7 +173,7 @@ class Tree:
         return one
 
     def _gone(self, particle: int, one: Backward) -> Backward:
-        """Return a counted particle, or an entrant, that leaves channel 1, going back."""
+        """Return a counted particle, or an entrant, that leaves channel 1 backwards in time."""
         if one.known > 0:
             did = self.history.passes[particle][one.known - 1]
             return Backward(AWAY, self.time - did.left, 0.0, _back(did.exit), one.known - 1)
@@ -192,7 +191,7 @@ class Tree:
         return Backward(COUNTED, one.until + half, 0.0, ray)
 
     def _turned(self, particle: int, one: Backward, now: float) -> Backward:
-        """Return a particle on its way out as it was before the gate turned it at this instant."""
+        """Return a particle moving outwards as it was before the gate reversed it at this time."""
         if one.known != UNKNOWN:
             did = self.history.passes[particle][one.known]
             if self.time - did.turned == now:
@@ -202,10 +201,10 @@ class Tree:
 
 
 def turned_start(table: Table, one: Start) -> Backward:
-    """Return a particle of a past that begins, going back, at such a start."""
+    """Return a particle of a past that begins, backwards in time, at a start."""
     if not one.inside:
         return Backward(AWAY, one.time, 0.0, one.ray)
-    if one.time > 0.0:  # heads, backwards, for the chord
+    if one.time > 0.0:  # moves backwards to the chord
         return Backward(COUNTED, one.time, 0.0, one.ray)
     half = 0.5 * table.channel1_length / one.ray.axial
     return Backward(OUTWARD, one.time + half, one.time, one.ray)
@@ -226,7 +225,7 @@ def _with(past: list[Backward], changed: dict[int, Backward]) -> list[Backward]:
 def coordinates(table: Table, past: Sequence[Backward], depth: float) -> Floats | None:
     """Return x, y, ux, uy of a past's particles in the program's frame, forward in time.
 
-    None if one of them was in channel 2 since it left channel 1, or has never been in that.
+    None if one of them was in channel 2 since it left channel 1, or has never been in channel 1.
     """
     rows = []
     for one in past:

@@ -1,10 +1,10 @@
-"""How often a state has several pasts: the folding entropy of the gated circuit.
+"""Number of pasts of a state: the folding entropy of the gated circuit.
 
 Runs entropy.nml with other N, T and times, into build/entropy_production/quick, or full. Stationary
-states and rates are the program's; from its states flights.py goes on, whose particles channel.py
-(channel 1 alone, many particles) and pasts.py (all of the state, few particles) follow back. Writes
+states and rates are the program's; flights.py continues from its states, and channel.py (channel 1
+only, many particles) and pasts.py (the whole state, few particles) compute the pasts. Writes
 few.csv, many.csv, deep.csv, checks.csv and entropy_production.png. Quick: some minutes of a core;
---full: what is shown on the page. Parts that are made are kept; --afresh makes them again.
+--full: as shown on the page. Finished parts are stored; --afresh makes them again.
 """
 
 from __future__ import annotations
@@ -41,23 +41,23 @@ TABLE = Table()
 FEW = (2, 3, 5, 10, 30)  # N, at T = 1
 CHECKED = (2, 3, 5, 10)
 MANY = ((100, 1), (200, 2), (300, 2), (300, 3), (1000, 1))  # N, T
-DENSE = ((1000, 2), (1000, 4), (1000, 7), (1000, 10))  # too many pasts: bounds alone
-# N at T = 1, depth, and over how many states of long runs and quick ones
+DENSE = ((1000, 2), (1000, 4), (1000, 7), (1000, 10))  # too many pasts: only bounds
+# N at T = 1, depth, and number of states in full and in quick runs
 DEEP = ((3, 8000.0, 60, 20), (10, 800.0, 60, 20), (30, 100.0, 16, 6), (100, 12.0, 20, 10))
 DEPTHS = 20  # at which pasts are counted
-SHARE_OF_TWO = 0.2732  # of firings after which a state has two pasts, of two particles
+SHARE_OF_TWO = 0.2732  # of reversals after which a state of two particles has two pasts
 TRANSIENT = 2000.0
 EDGE = 2.0  # time at both ends of a window, over which logarithms of weights are averaged
 LENGTH = 12.0  # of windows
-COLLISIONS = 3  # presents with several pasts that are run forwards again
+COLLISIONS = 3  # number of states with several pasts that are run forwards again
 CHECK_DEPTH = 20.0
 
 
 def ran(work: study.Study, name: str, number: int, threshold: int, duration: float) -> Path:
-    """Run a circuit from near its stationary state, which the theory of renewal gates knows."""
-    told = work.theory("renewal", number=number, threshold=threshold) if number >= 100 else {}
-    stable = [one["urn2_number"] for one in told.get("roots", ()) if one["kind"] == "stable"]
-    there = max(stable) if told.get("homogeneous") == "unstable" else 0.5 * number
+    """Run a circuit from near its stationary state by the theory of renewal gates."""
+    theory = work.theory("renewal", number=number, threshold=threshold) if number >= 100 else {}
+    stable = [one["urn2_number"] for one in theory.get("roots", ()) if one["kind"] == "stable"]
+    there = max(stable) if theory.get("homogeneous") == "unstable" else 0.5 * number
     changes = {
         "particles": {"number": number, "urn1_number": number - round(there)},
         "gate": {"threshold": threshold},
@@ -67,7 +67,7 @@ def ran(work: study.Study, name: str, number: int, threshold: int, duration: flo
 
 
 def rates(path: Path, begin: float, end: float) -> dict[str, float]:
-    """Return rates between two times, by the log: entries, flows through, firings."""
+    """Return rates between two times from the log: entries, flows through the gates, reversals."""
     log = read_log(path)
     late = (log.time > begin) & (log.time < end)
     kind, where, number = log.kind[late], log.where[late], log.particle[late]
@@ -86,7 +86,7 @@ def rates(path: Path, begin: float, end: float) -> dict[str, float]:
 
 
 def numbers_in_urns(path: Path) -> tuple[list[Start], int, int]:
-    """Return the final state of a run, and how many are in either urn."""
+    """Return the final state of a run, and the numbers in both urns."""
     end = postproc.open_results(path, group="final").squeeze("replica")
     x, y, ux, uy = (end[name].to_numpy() for name in ("x", "y", "ux", "uy"))
     inside = np.abs(np.abs(x) - 0.5 * TABLE.channel1_length - TABLE.chords[0]) < TABLE.chords[1]
@@ -98,7 +98,7 @@ def folding(
     passes: Sequence[Pass], threshold: int, entries: Sequence[float],
     windows: Sequence[tuple[float, float]], most: int,
 ) -> tuple[float, float, float]:  # fmt: skip
-    """Return the folding entropy a unit time of channel 1 alone, its error, and the share lost.
+    """Return the folding entropy per unit time of channel 1 only, its error, and the share lost.
 
     Each window gives a slope of the logarithm of the weight of all pasts over the true one's,
     between its mean over the first and over the last `EDGE`.
@@ -111,7 +111,7 @@ def folding(
         edge = min(EDGE, 0.1 * (end - begin))
         first, last = (found.log_ratio[part] for part in (
             (back > edge) & (back < 2.0 * edge), back > end - begin - edge))  # fmt: skip
-        if end - begin > 100.0:  # so long that the ends do not matter
+        if end - begin > 100.0:  # long enough that the ends do not matter
             slopes.append(found.log_ratio[-1] / (end - begin))
         else:
             slopes.append((last.mean() - first.mean()) / (end - begin - 2.0 * edge))
@@ -121,16 +121,16 @@ def folding(
 
 
 def few(work: study.Study) -> list[dict[str, float]]:
-    """Return firings and folding entropy of few particles at T = 1, channel 1 alone."""
+    """Return reversals and folding entropy of few particles at T = 1, channel 1 only."""
     rows = []
     for number in FEW:
-        foreseen = 2.0 * number * (number - 1) * (0.25 * math.pi) * (
+        predicted_rate = 2.0 * number * (number - 1) * (0.25 * math.pi) * (
             TABLE.channel1_width / (math.pi * TABLE.area)) ** 2  # fmt: skip
-        duration = round(work.pick(1000.0, 6000.0) / foreseen, -2)
+        duration = round(work.pick(1000.0, 6000.0) / predicted_rate, -2)
         path = ran(work, f"few_{number}", number, 1, duration)
         found = rates(path, 0.0, duration)
         starts, *_ = numbers_in_urns(path)
-        span = work.pick(500.0, 3000.0) / foreseen
+        span = work.pick(500.0, 3000.0) / predicted_rate
         passes, log = histories(TABLE, 1, starts, span)
         edges = np.linspace(0.02, 1.0, 21) * span
         value, error, lost = folding(
@@ -138,7 +138,7 @@ def few(work: study.Study) -> list[dict[str, float]]:
         )
         fired = firings(log) / span
         rows.append({
-            "number": number, "foreseen": foreseen, **found, "folding": value,
+            "number": number, "foreseen": predicted_rate, **found, "folding": value,
             "folding_error": error, "lost": lost, "a_firing": value / fired,
             "a_firing_error": error / fired, "python_firings": fired,
         })  # fmt: skip
@@ -146,7 +146,7 @@ def few(work: study.Study) -> list[dict[str, float]]:
 
 
 def renewal_chain(number: int, threshold: int, urn2: float, area: float) -> float:
-    """Return the entropy production of the chain of urns that forget, at its stationary state."""
+    """Return the entropy production of the chain of well mixed urns, at its stationary state."""
     inside = np.array([number - urn2, urn2])
     entries = inside * TABLE.channel1_width / (math.pi * area)
     share = RenewalGate().share(threshold, entries * 0.25 * math.pi * TABLE.channel1_length)
@@ -156,7 +156,7 @@ def renewal_chain(number: int, threshold: int, urn2: float, area: float) -> floa
 
 
 def many(work: study.Study) -> list[dict[str, float]]:
-    """Return the same of many particles, with what the net current would cost."""
+    """Return the same for many particles, with the entropy production of the net current."""
     rows = []
     for number, threshold in (*MANY, *DENSE):
         end = work.pick(4000.0, 22000.0)
@@ -180,11 +180,11 @@ def many(work: study.Study) -> list[dict[str, float]]:
         row["density"] = row["current"] * math.log((1.0 + chi) / (1.0 - chi))
         row["chi"] = chi
         row["flows"] = row["current"] * math.log(row["flow2_21"] / row["flow2_12"])
-        told = work.theory("renewal", number=number, threshold=threshold)
-        stable = [one["urn2_number"] for one in told["roots"] if one["kind"] == "stable"]
+        theory = work.theory("renewal", number=number, threshold=threshold)
+        stable = [one["urn2_number"] for one in theory["roots"] if one["kind"] == "stable"]
         row["chain"] = 0.0
-        if told["homogeneous"] == "unstable":
-            row["chain"] = renewal_chain(number, threshold, max(stable), told["urn_area"])
+        if theory["homogeneous"] == "unstable":
+            row["chain"] = renewal_chain(number, threshold, max(stable), theory["urn_area"])
         rows.append(row)
     return rows
 
@@ -199,7 +199,7 @@ def drawn(random: np.random.Generator, number: int, threshold: int) -> list[Star
 
 
 def drawn_present(random: np.random.Generator, number: int, threshold: int) -> list[Backward]:
-    """Draw such a state as pasts begin: starts whose velocities are turned are as likely."""
+    """Draw such a state for the start of pasts: reversed velocities are as likely."""
     while True:
         found = [turned_start(TABLE, one) for one in TABLE.random_starts(random, number)]
         counted = [one.ray.side for one in found if one.status == COUNTED]
@@ -210,7 +210,7 @@ def drawn_present(random: np.random.Generator, number: int, threshold: int) -> l
 def pasts_of_a_run(
     random: np.random.Generator, number: int, threshold: int, depth: float
 ) -> tuple[Pasts, Tree]:
-    """Return all pasts of a state that a run arrives at after some time, as deep as it began."""
+    """Return all pasts of a state that a run reaches, as deep as the beginning of the run."""
     passes, _ = histories(TABLE, threshold, drawn(random, number, threshold), depth)
     history = History(passes, number)
     tree = Tree(TABLE, threshold, history, depth)
@@ -218,7 +218,7 @@ def pasts_of_a_run(
 
 
 def deep(work: study.Study) -> list[dict[str, float]]:
-    """Return how many pasts there are against depth: of what runs arrive at, of all states."""
+    """Return the number of pasts against depth: of states reached by runs, and of all states."""
     rows = []
     for number, deepest, most, least in DEEP:
         random = np.random.default_rng(number)
@@ -244,7 +244,7 @@ def deep(work: study.Study) -> list[dict[str, float]]:
 
 
 def critical(rate: float, depth: Floats) -> Floats:
-    """Return the mean of ln n of a critical branching process, n weighed by itself.
+    """Return the mean of ln n of a critical branching process, weighted by n.
 
     n has the distribution n x^(n - 1)/(1 + b s)^2, x = b s/(1 + b s), b = F/(2 ln 2).
     """
@@ -273,7 +273,7 @@ def same_present(work: study.Study, name: str, states: Sequence[Floats], depth: 
 
 
 def checks(work: study.Study) -> list[dict[str, float]]:
-    """Run the program from all pasts of presents that have several: each ends in the present."""
+    """Run the program from all pasts of states that have several: each ends in that state."""
     rows = []
     for number in CHECKED:
         random, found, ran_from, worst, drawn_states = np.random.default_rng(number), 0, 0, 0.0, 0
@@ -330,7 +330,7 @@ def tables(
 def figure(
     few_rows: Sequence[dict], many_rows: Sequence[dict], deep_rows: Sequence[dict]
 ) -> Figure:
-    """Return F a firing against N with lower bounds; pasts against depth."""
+    """Return F per reversal against N with lower bounds; number of pasts against depth."""
     made = style.figure(style.PAGE, 3.3)
     left, right = made.subplots(1, 2)
     own = [one for one in many_rows if math.isfinite(one["folding"])]
@@ -373,17 +373,17 @@ def figure(
 
 
 def part(work: study.Study, made: Callable[[study.Study], list[dict]]) -> list[dict]:
-    """Return the rows of a part of the study, those that are kept if it is not made afresh."""
-    kept = None if work.afresh else work.kept(made.__name__)
-    if kept is None:
+    """Return the rows of a part of the study, the stored ones unless it is made afresh."""
+    stored = None if work.afresh else work.kept(made.__name__)
+    if stored is None:
         work.keep(made.__name__, {"rows": made(work)})
-        kept = work.kept(made.__name__)
+        stored = work.kept(made.__name__)
     return [{key: math.nan if value is None else value for key, value in row.items()}
-            for row in kept["rows"]]  # fmt: skip
+            for row in stored["rows"]]  # fmt: skip
 
 
 def run(work: study.Study) -> None:
-    """Make everything of the page."""
+    """Make all tables and pictures of the page."""
     few_rows, many_rows, check_rows, deep_rows = (
         part(work, one) for one in (few, many, checks, deep)
     )

@@ -1,4 +1,4 @@
-"""Pasts are those that a brute force finds; each ends in the present, in the program too."""
+"""Pasts agree with a brute-force search; each ends in the present, in the program too."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ LONG_AGO = -100.0
 def _gates(
     threshold: int, entries: list[tuple[float, int, float]]
 ) -> list[tuple[float, int, float]]:
-    """Return what the rule makes of entries (time, gate, half): (left, gate, turned) of each."""
+    """Apply the rule to entries (time, gate, half); return (left, gate, turned) of each."""
     counted: dict[int, dict[int, float]] = {1: {}, 2: {}}
     ends: list[tuple[float, int, float]] = [(0.0, 0, 0.0)] * len(entries)
     for at in sorted(range(len(entries)), key=lambda one: entries[one][0]):
@@ -56,7 +56,7 @@ def _drawn(random: np.random.Generator, number: int, threshold: int) -> list[Pas
 
 
 def _weight_of_all(threshold: int, passes: list[Pass], rates: tuple[float, float]) -> float:
-    """Return the weight of all pasts over the true one's: tries each end as through or turned."""
+    """Return the weight of all pasts over the true one's, with each exit as through or reversed."""
     ways = []
     for one in passes:
         side = one.exit.side
@@ -82,16 +82,16 @@ def test_weight_of_all_pasts_is_that_of_a_brute_force(threshold: int) -> None:
         rates = (1.0, 3.0)
         channel = Channel(passes, threshold, rates)
         found = channel.weigh(LONG_AGO - 1.0, max(one.left for one in passes) + 1.0, 10**6)
-        want = _weight_of_all(threshold, passes, rates)
-        assert math.exp(found.log_ratio[-1]) == pytest.approx(want, rel=1e-9)
-        several += want > 1.0
+        expected = _weight_of_all(threshold, passes, rates)
+        assert math.exp(found.log_ratio[-1]) == pytest.approx(expected, rel=1e-9)
+        several += expected > 1.0
     assert several > 10
 
 
 def _pasts(
     starts: list[Start], threshold: int, depth: float
 ) -> tuple[list[np.ndarray], np.ndarray]:
-    """Return the coordinates of all pasts of what starts arrive at, and those of the present."""
+    """Return the coordinates of all pasts of the state reached from starts, and of that state."""
     passes, _ = histories(TABLE, threshold, starts, depth)
     history = History(passes, len(starts))
     found = Tree(TABLE, threshold, history, depth).pasts(history.state(depth), depth)
@@ -111,7 +111,7 @@ def test_from_either_of_two_known_pasts_both_are_found() -> None:
 def test_two_particles_at_threshold_1_have_two_pasts_that_the_program_brings_together(
     tmp_path: Path,
 ) -> None:
-    """A slow one is turned by a fast one; or both came through, the fast one after the slow."""
+    """Either a fast particle reverses a slow one, or both came through, the fast one later."""
     sine = math.sqrt(1.0 - 0.4**2)
     slow = Start(False, 1.0, Ray(2, 0.0, 0.4, sine))
     fast = Start(False, 1.1, Ray(2, 0.05, 1.0, 0.0))
@@ -154,6 +154,6 @@ def test_flights_are_those_of_the_program(tmp_path: Path) -> None:
     work = Study(tmp_path, HERE, ranks=1)
     (end,) = entropy.same_present(work, "program", [np.array(states)], 20.0)
     for at, one in enumerate(history.state(20.0)):
-        want = coordinates(TABLE, [one], 0.0)
-        if want is not None:
-            assert end[at] == pytest.approx(want[0], abs=1e-8)
+        expected = coordinates(TABLE, [one], 0.0)
+        if expected is not None:
+            assert end[at] == pytest.approx(expected[0], abs=1e-8)

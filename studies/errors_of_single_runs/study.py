@@ -1,10 +1,10 @@
-"""Whether the errors of single runs are right: tables and picture of the page beside.
+"""Accuracy of the errors of single runs: tables and picture of the page in this folder.
 
 Many runs of the same circuit and length, each with its own standard error, against their scatter.
-In the table for each circuit, quantity and length: in how many runs the error is told, the median
-of the told ones over the true one, and how often the mean over all runs is within one and two of
-them. Printed first: the correlation time of the polarised current at the reference point. Quick: 40
-runs of up to 37,000 time units, two minutes of a core; --full: half an hour.
+The table has for each circuit, quantity and length: in how many runs the error is known (`told`),
+the median of these errors over the true one, and how often the mean over all runs is within one and
+two of them. Prints first the correlation time of the polarised current at the reference point.
+Quick: 40 runs of up to 37,000 time units, two minutes of a core; --full: half an hour.
 """
 
 from __future__ import annotations
@@ -27,12 +27,12 @@ if TYPE_CHECKING:
     Found = dict[str, dict[float, dict[str, dict[str, float]]]]
 
 REPLICAS = 200
-ENOUGH = 0.5  # share of runs that tell an error, from which on these are compared
-ASKED = (0.60, 0.76)  # share of runs within one error that is honest, drawn as a band
-INTERVAL = 1000.0  # of the series that tells the correlation time
+ENOUGH = 0.5  # least share of runs with an error for a comparison
+ASKED = (0.60, 0.76)  # expected share of runs within one error, drawn as a band
+INTERVAL = 1000.0  # of the series for the correlation time
 TRANSIENT = 2800.0  # three relaxation times of directions, 25 r^4/w^3
 CORNERS = [-1.0, -0.4, 0.2, -1.15, 1.0, -0.55, 1.0, 0.45, -0.15, 1.05, -1.0, 0.5]  # crooked
-# What is asked of each circuit besides w = 0.3, w' = 0.01, N = 1000, and the lengths of its runs.
+# Parameters of each circuit besides w = 0.3, w' = 0.01, N = 1000, and the lengths of its runs.
 LENGTHS = (18_500.0, 37_000.0, 75_000.0)
 CIRCUITS: dict[str, tuple[int, dict[str, object], tuple[float, ...]]] = {
     "T = 7": (7, {}, (*LENGTHS, 150_000.0, 400_000.0)),
@@ -48,18 +48,18 @@ LABELS = dict(zip(QUANTITIES, ("chi", "polarised current", "current 1"), strict=
 
 
 def held(values: Floats, errors: Floats) -> dict[str, float]:
-    """Return how the errors of runs compare with the scatter of their averages.
+    """Compare the errors of runs with the scatter of their averages.
 
     Parameters
     ----------
-    values, errors : average and its own standard error of each run; NaN errors are not told.
+    values, errors : average and its own standard error of each run; NaN: the error is not known.
 
     Returns
     -------
     dict
         `told`: share of the runs that have an error; `true`: standard deviation of all averages;
-        `ratio`: median of the told errors over that; `one`, `two`: share of the told ones that are
-        not farther from the mean of all than one and two errors. NaN where none is told.
+        `ratio`: median of the errors over that; `one`, `two`: share of runs with an error that are
+        within one and two errors of the mean of all. NaN if no run has an error.
     """
     known = np.isfinite(errors)
     off = np.abs(values - values.mean())[known] / errors[known]
@@ -106,7 +106,7 @@ def runs(
 def measure(
     work: study.Study, name: str, threshold: int, table: dict[str, object], length: float
 ) -> dict[str, dict[str, float]]:
-    """Return `held` of each quantity, of runs of a length after the transient."""
+    """Return `held` of each quantity, for runs of a length after the transient."""
     replicas = int(work.pick(40, REPLICAS))
     data = postproc.open_results(runs(work, name, threshold, table, length, replicas))
     return {
@@ -116,9 +116,9 @@ def measure(
 
 
 def reference_correlation_time(work: study.Study) -> float:
-    """Return the time in which the slowest part of the current is forgotten, at T = 7.
+    """Return the decay time of the slowest component of the current, at T = 7.
 
-    Its polarity lasts, so the polarised current is the current by size.
+    The polarity does not change, so the polarised current is the absolute current.
     """
     path = runs(work, "series", 7, {}, 400_000.0, int(work.pick(30, 100)), INTERVAL)
     data = postproc.open_results(path, group="series")
@@ -127,10 +127,10 @@ def reference_correlation_time(work: study.Study) -> float:
 
 
 def figure(found: Found, replicas: int) -> Figure:
-    """Return the told error over the true one, and how often it holds, against the length of a run.
+    """Return the error over the true one, and how often it holds, against the length of a run.
 
-    Only where half of the runs tell one, since fewer are a selection; error bars are the chance
-    that the true one, and a share, are known with, from so many runs.
+    Only if half of the runs have one, since fewer are a selection; error bars are the statistical
+    errors of the true one, and of a share, from this number of runs.
     """
     made = style.figure(style.PAGE, 5.2)
     panels = made.subplots(2, len(QUANTITIES), sharex=True, sharey="row")
@@ -139,10 +139,10 @@ def figure(found: Found, replicas: int) -> Figure:
             lengths = sorted(rows)
             seen = any(one["told"] >= ENOUGH for row in rows.values() for one in row.values())
             label = circuit if seen else f"{circuit}: none told"
-            told = [rows[length][name] for length in lengths]
-            enough = np.array([one["told"] >= ENOUGH for one in told])
+            own = [rows[length][name] for length in lengths]
+            enough = np.array([one["told"] >= ENOUGH for one in own])
             share, ratio, one = (
-                np.where(enough, [float(line[key]) for line in told], np.nan)
+                np.where(enough, [float(line[key]) for line in own], np.nan)
                 for key in ("told", "ratio", "one")
             )
             errors = (ratio / np.sqrt(2.0 * (replicas - 1)),
@@ -161,7 +161,7 @@ def figure(found: Found, replicas: int) -> Figure:
 
 
 def run(work: study.Study) -> None:
-    """Make everything of the page."""
+    """Make all tables and pictures of the page."""
     print(f"correlation time of the current at T = 7: {reference_correlation_time(work):.0f}")
     found: Found = {}
     for at, (label, (threshold, table, lengths)) in enumerate(CIRCUITS.items()):
@@ -179,11 +179,11 @@ def run(work: study.Study) -> None:
 
 
 def _cells(one: dict[str, float]) -> list[str]:
-    """Return a row's numbers; `-` where fewer than half of the runs tell an error."""
-    told = f"{100.0 * one['told']:.0f} %"
+    """Return a row's numbers; `-` if fewer than half of the runs have an error."""
+    share = f"{100.0 * one['told']:.0f} %"
     if one["told"] < ENOUGH:
-        return [told, "-", "-", "-"]
-    return [told, f"{one['ratio']:.2f}", *(f"{100.0 * one[key]:.0f} %" for key in ("one", "two"))]
+        return [share, "-", "-", "-"]
+    return [share, f"{one['ratio']:.2f}", *(f"{100.0 * one[key]:.0f} %" for key in ("one", "two"))]
 
 
 if __name__ == "__main__":

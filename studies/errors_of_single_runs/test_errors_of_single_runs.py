@@ -1,4 +1,4 @@
-"""What the study says of made numbers, and of the program."""
+"""The study with synthetic numbers, and with runs of the program."""
 
 from __future__ import annotations
 
@@ -27,14 +27,14 @@ def test_right_errors_are_called_right() -> None:
 
 
 def test_decay_time_is_that_of_the_slowest_part() -> None:
-    """A process that forgets in 20 intervals of 0.5, beside noise and a drift common to all."""
+    """A process that decays in 20 intervals of 0.5, with noise and a drift common to all runs."""
     random = np.random.default_rng(7)
     values = np.zeros((200, 2000))
     values[:, 0] = random.normal(size=200)
-    kept = np.exp(-1.0 / 20.0)
+    correlation = np.exp(-1.0 / 20.0)
     for k in range(1, 2000):
         new = random.normal(size=200)
-        values[:, k] = kept * values[:, k - 1] + np.sqrt(1.0 - kept**2) * new
+        values[:, k] = correlation * values[:, k - 1] + np.sqrt(1.0 - correlation**2) * new
     values += random.normal(size=values.shape) + np.linspace(0.0, 3.0, 2000)
     assert own_errors.decay_time(values, 0.5, (5, 40)) == pytest.approx(10.0, rel=0.1)
 

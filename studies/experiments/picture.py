@@ -1,4 +1,4 @@
-"""Picture of the experiments, from the numbers that they have kept."""
+"""Picture of the experiments, from their stored numbers."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 TAILS = [[0.1587], [0.8413]]  # ends of the error bars of counts: 68 % of Poisson's distribution
-NONE = -math.log(0.05)  # events expected where none is seen, at most (95 %)
-BESIDE = 1.12  # by how much marks of one number of rounds are drawn apart
+NONE = -math.log(0.05)  # upper bound of the expected number of events if none is observed (95 %)
+BESIDE = 1.12  # factor by which marks at one number of rounds are separated
 
 
 def figure(numbers: dict) -> Figure:
@@ -79,7 +79,7 @@ def _draw_turns(axes: Axes, laws: Sequence[dict]) -> None:
         rounds, reached = np.array(law["rounds"], float), np.array(law["reached"], float)
         colour, dashes = style.CYCLE[at], ("-", "--", ":", "-.")[at]
         there = reached > 0
-        none = np.flatnonzero(~there)[:1]  # whoever goes round longer has gone round so often
+        none = np.flatnonzero(~there)[:1]  # longer circulations include these rounds
         place = rounds * BESIDE ** (at - 1.5)
         counts = reached[there]
         ends = stats.chi2.ppf(TAILS, [2.0 * counts, 2.0 * counts + 2.0]) / 2.0

@@ -1,4 +1,4 @@
-"""Predictions of the experiments alone; others are those of `postproc.accuracy.predictions`."""
+"""Predictions for the experiments only; others are in `postproc.accuracy.predictions`."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def mixed_conductance(circuit: Circuit) -> float:
 def direction_weights() -> tuple[Floats, Floats]:
     """Return (l (l + 1), weight) of the parts of cos(theta) that decay, weights of sum 1.
 
-    cos(theta) = sqrt(1 - s^2) in Legendre polynomials of s, evenly spread over (-1, 1).
+    cos(theta) = sqrt(1 - s^2) in Legendre polynomials of s, uniform in (-1, 1).
     """
     nodes, widths = legendre.leggauss(400)
     degrees = np.arange(2, 2 * DEGREES + 1, 2)
@@ -41,6 +41,6 @@ def direction_weights() -> tuple[Floats, Floats]:
 
 
 def autocorrelation(diffusion: float, visits: ArrayLike) -> Floats:
-    """Return the autocorrelation of cos(theta) so many visits apart, D d/ds (1 - s^2) d/ds."""
+    """Return the autocorrelation of cos(theta) at a lag in visits, by D d/ds (1 - s^2) d/ds."""
     rates, weights = direction_weights()
     return np.exp(-diffusion * np.multiply.outer(np.asarray(visits, float), rates)) @ weights

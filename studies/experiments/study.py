@@ -1,13 +1,13 @@
-"""Five experiments that decide whether urns remember: each predicted by a formula, then measured.
+"""Five experiments on the memory of urns: each predicted by a formula, then measured.
 
 1. Directions: autocorrelation of cos(theta) from entry to entry of the single urn without a gate.
-2. Two ports: what particles that came through channel 2 do next, in the free circuit.
-3. Urns twice as large with four times as many particles: the loads are the same, the memory is not.
-4. Circulation: how often particles go round and round, against w' and l'.
+2. Two ports: next events of particles that came through channel 2, in the free circuit.
+3. Urns twice as large with four times as many particles: equal loads, another memory.
+4. Circulation: rates of circulations against w' and l'.
 5. The upper transition after a short and after a long transient.
 
 Runs are made in build/experiments/quick (about two minutes of one core), or full (ten times as
-much); what is complete is not repeated.
+long); complete runs are not repeated.
 """
 
 from __future__ import annotations
@@ -36,8 +36,8 @@ from studies.event_log import (
     circuit_of,
     entries_of,
     mean_of_groups,
+    particle_events,
     read_log,
-    stories,
 )
 from studies.experiments import picture, predictions
 
@@ -51,12 +51,12 @@ if TYPE_CHECKING:
 
 WIDTHS = (0.3, 0.2, 0.1)  # w of the urns whose directions are followed
 LAGS = (1, 5, 10, 20, 40)  # visits, at w = 0.3; as (0.3/w)^2 elsewhere
-ROUNDS = 8  # rounds from which on a circulation is counted
+ROUNDS = 8  # least number of rounds of a circulation
 SIZES = ((1.0, 1000), (2.0, 4000))  # r, N with equal loads
 SIZED_T = (7, 10, 13)
 TURNS = ((0.01, 1.0), (0.02, 1.0), (0.01, 0.25), (0.01, 4.0))  # w', l'
 TRANSIENTS = (500.0, 5000.0)
-SLOW = 3000.0  # time in which chi was supposed to relax near the upper transition; it does not
+SLOW = 3000.0  # assumed relaxation time of chi near the upper transition, which was refuted
 TITLES = {
     1: "Directions last from visit to visit",
     2: "An urn remembers the opening of entry",
@@ -64,7 +64,7 @@ TITLES = {
     4: "Particles on the axis stay on it",
     5: "The transient near the upper transition",
 }
-CLOSE = 3.0  # standard errors within which a prediction counts as met
+CLOSE = 3.0  # standard errors within which a prediction counts as confirmed
 HALFWAY = 0.3  # chi at the transition, between integer T on a straight line
 
 
@@ -76,9 +76,9 @@ class Row:
     ----------
     experiment : its number.
     what : the quantity.
-    mixed : what urns without memory would give, NaN if they say nothing.
-    predicted : by memory.
-    measured, error : by the program, and the standard error.
+    mixed : value for urns without memory, NaN if there is none.
+    predicted : value with memory.
+    measured, error : value of runs, and the standard error.
     """
 
     experiment: int
@@ -90,12 +90,12 @@ class Row:
 
     @property
     def off(self) -> float:
-        """How far prediction and measurement are apart, in standard errors."""
+        """Difference of prediction and measurement, in standard errors."""
         return (self.measured - self.predicted) / self.error
 
 
 def fitted_diffusion(lags: NDArray[np.int64], values: Floats) -> float:
-    """Return the D a visit whose autocorrelation passes through the values best."""
+    """Return the D per visit whose autocorrelation fits the values best."""
     start = math.log(2.0) / (6.0 * float(np.interp(-0.5, -values, lags)))
 
     def apart(log_diffusion: Floats) -> Floats:
@@ -119,7 +119,7 @@ def directions(work: study.Study) -> tuple[list[Row], list[dict]]:
             "run": {"duration": duration},
         }
         name = f"directions_{width:g}".replace(".", "p")
-        seen = entries_of(stories(read_log(work.run("events", name, changes, alone=True))))
+        seen = entries_of(particle_events(read_log(work.run("events", name, changes, alone=True))))
         values = autocorrelations(*seen, lags, 0.5 * duration)
         mean, error = values.mean(axis=0), values.std(axis=0, ddof=1) / math.sqrt(GROUPS)
         scale = diffusion(1.0, width)
@@ -142,12 +142,12 @@ def two_ports(work: study.Study) -> list[Row]:
         "particles": {"urn1_number": 500}, "gate": {"threshold": 1000},
         "run": {"duration": work.pick(2.0e4, 4.0e5)},
     }  # fmt: skip
-    told = stories(read_log(work.run("events", "ports", changes, alone=True)))
+    events = particle_events(read_log(work.run("events", "ports", changes, alone=True)))
     circuit = theory.Circuit(1000, 1000)
     found, ratio = ports.disc(circuit), float(circuit.channel2_width)
     mixed = ratio / (ratio + float(circuit.channel1_width))
     stay = math.pi * float(circuit.urn_area) / (ratio + float(circuit.channel1_width))
-    share, time = (mean_of_groups(one) for one in after_channel2(told))
+    share, time = (mean_of_groups(one) for one in after_channel2(events))
     return [
         Row(2, "share of crossings of channel 2 that are followed by another", mixed,
             found.return_chance, *share),
@@ -156,7 +156,7 @@ def two_ports(work: study.Study) -> list[Row]:
 
 
 def of_halves(circuit: theory.Circuit, chi: float) -> tuple[Floats, float]:
-    """Return (how many are inside urns 1 and 2, chi N) at a measured chi, urn 2 the fuller."""
+    """Return (numbers inside urns 1 and 2, chi N) at a measured chi, urn 2 the fuller."""
     halves = 0.5 * float(circuit.number) * np.array([1.0 - chi, 1.0 + chi])
     inside = halves.copy()
     for _ in range(50):
@@ -166,7 +166,7 @@ def of_halves(circuit: theory.Circuit, chi: float) -> tuple[Floats, float]:
 
 
 def sizes(work: study.Study) -> list[Row]:
-    """Make experiment 3: conductance, and what the sparse gate lets through, for two sizes."""
+    """Make experiment 3: conductance, and share through the sparse gate, for two sizes."""
     rows = []
     for radius, many in SIZES:
         slow = memory_time(theory.Circuit(1, 1, urn_radius=radius))
@@ -220,11 +220,11 @@ def circulation(work: study.Study) -> tuple[list[Row], list[dict]]:
             data, log = postproc.open_results(path), read_log(path)
             circuit = circuit_of(data)
             start = int(data.number) - int(data.urn1_number)
-            told = stories(log)
-            rounds = circulations.circulations(told, circuit).rounds
+            events = particle_events(log)
+            rounds = circulations.circulations(events, circuit).rounds
             count.append(np.count_nonzero(rounds == ROUNDS))
             reached += [np.count_nonzero(rounds == one) for one in circulations.ROUNDS]
-            dense.append(circulations.urn_numbers(log, told, circuit, start, end)[1])
+            dense.append(circulations.urn_numbers(log, events, circuit, start, end)[1])
         time = end - circulations.TRANSIENT
         rate = sum(count) / (logs * time)
         error = max(math.sqrt(max(sum(count), 1)), float(np.std(count) * math.sqrt(logs)))
@@ -239,7 +239,7 @@ def circulation(work: study.Study) -> tuple[list[Row], list[dict]]:
 
 
 def ratio_of(wide: Row, narrow: Row) -> Row:
-    """Return the line of the ratio of two rates, that of the wider channel 2 over the other."""
+    """Return the row of the ratio of two rates, that of the wider channel 2 over the other."""
     value = wide.measured / narrow.measured
     error = value * math.hypot(wide.error / wide.measured, narrow.error / narrow.measured)
     what = "ratio of these rates, w' = 0.02 over w' = 0.01, l' = 1"
@@ -249,7 +249,7 @@ def ratio_of(wide: Row, narrow: Row) -> Row:
 def transition_after(
     work: study.Study, transient: float, lasting: float, replicas: int
 ) -> xr.DataArray:
-    """Return chi, with dimensions threshold and replica, of runs so long after a transient."""
+    """Return chi, with dimensions threshold and replica, of runs after a transient."""
     changes = {
         "particles": {"seed": 31},
         "run": {"duration": transient + lasting, "transient_duration": transient},
@@ -270,7 +270,7 @@ def transition(thresholds: Floats, chi: Floats) -> float:
 
 
 def transition_of(found: xr.DataArray) -> tuple[float, float]:
-    """Return the transition and its error, one replica left out at a time (jackknife)."""
+    """Return the transition and its error, by jackknife over replicas."""
     at, chi = found.threshold.to_numpy(), found.transpose("threshold", "replica").to_numpy()
     count = chi.shape[1]
     without = np.array(
@@ -281,28 +281,29 @@ def transition_of(found: xr.DataArray) -> tuple[float, float]:
 
 
 def transients(work: study.Study) -> list[Row]:
-    """Make experiment 5: how far a transient that is too short shifts the upper transition.
+    """Make experiment 5: the shift of the upper transition by a transient that is too short.
 
-    Runs begin at chi = 0.4 and end at 0.3 where the transition is read off; an average over [t0, t]
-    keeps (0.4 - 0.3) tau (exp(-t0/tau) - exp(-t/tau))/(t - t0) of that, over the slope of chi in T.
+    Runs begin at chi = 0.4 and end at 0.3 where the transition is defined; in an average over [t0,
+    t] the deviation is (0.4 - 0.3) tau (exp(-t0/tau) - exp(-t/tau))/(t - t0), which is divided by
+    the slope of chi in T.
     """
     lasting, replicas = 5.0e3, int(work.pick(48, 256))
     found = [transition_after(work, one, lasting, replicas) for one in TRANSIENTS]
     after = found[-1].mean("replica")
     chi, at = after.to_numpy(), after.threshold.to_numpy()
     slope = np.interp(HALFWAY, chi[::-1], np.gradient(chi, at)[::-1])
-    kept = [
+    share = [
         SLOW / lasting * (math.exp(-one / SLOW) - math.exp(-(one + lasting) / SLOW))
         for one in TRANSIENTS
     ]
-    predicted = (0.4 - HALFWAY) * (kept[0] - kept[1]) / -float(slope)
+    predicted = (0.4 - HALFWAY) * (share[0] - share[1]) / -float(slope)
     (one, its), (other, other_error) = (transition_of(chi) for chi in found)
     what = "T of the upper transition, transient 500, less that with 5000"
     return [Row(5, what, 0.0, predicted, one - other, math.hypot(its, other_error))]
 
 
 def verdict(rows: Sequence[dict]) -> list[str]:
-    """Return a line an experiment: how many predictions are met, and how far off the worst is."""
+    """Return a line for each experiment: how many predictions hold, and the largest deviation."""
     lines = []
     for one, title in TITLES.items():
         mine = [row for row in rows if row["experiment"] == one and row["predicted"] is not None]
@@ -342,7 +343,7 @@ def value(found: float, error: float) -> str:
 
 
 def run(work: study.Study) -> None:
-    """Make all five; keep the numbers, write tables, draw `experiments`."""
+    """Make all five; store the numbers, write tables, draw `experiments`."""
     rows, curves = directions(work)
     rows += two_ports(work)
     rows += sizes(work)
@@ -351,10 +352,10 @@ def run(work: study.Study) -> None:
     numbers = {
         "rows": [asdict(row) for row in rows], "curves": curves, "laws": laws, "full": work.full,
     }  # fmt: skip
-    kept = json.loads(work.keep("experiments", numbers).read_text(encoding="utf-8"))
-    tables(work, kept["rows"])
-    print(*verdict(kept["rows"]), sep="\n")
-    work.draw(picture.figure(kept), "experiments")
+    stored = json.loads(work.keep("experiments", numbers).read_text(encoding="utf-8"))
+    tables(work, stored["rows"])
+    print(*verdict(stored["rows"]), sep="\n")
+    work.draw(picture.figure(stored), "experiments")
 
 
 if __name__ == "__main__":

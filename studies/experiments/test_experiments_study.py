@@ -1,4 +1,4 @@
-"""The deciding experiments: formulas in known limits, measurements on made-up logs, the page."""
+"""The experiments: formulas in known limits, measurements on synthetic logs, the page."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from postproc.theory import ports, two_port
 from postproc.theory.circuit import Circuit, in_urn
 from postproc.theory.renewal import RENEWAL
 from studies import event_log
-from studies.event_log import Log, stories
+from studies.event_log import Log, particle_events
 from studies.experiments import picture, predictions
 from studies.experiments import study as experiments
 
@@ -32,9 +32,9 @@ class Short(Study):
         return quick / 5.0 if quick > 1e3 else super().pick(quick, full)
 
 
-def told(*events: tuple[float, int, int, int]) -> event_log.Stories:
+def events_of(*events: tuple[float, int, int, int]) -> event_log.ParticleEvents:
     time, kind, where, particle = np.array(sorted(events), float).T
-    return stories(Log(time, *(one.astype(int) for one in (kind, where, particle))))
+    return particle_events(Log(time, *(one.astype(int) for one in (kind, where, particle))))
 
 
 def test_directions_forget_as_legendre_modes_do() -> None:
@@ -59,7 +59,7 @@ def test_circulation_is_that_of_the_formula() -> None:
 
 
 def test_angle_is_told_from_the_flight_to_the_end_wall() -> None:
-    seen = told((10.0, 1, 1, 1), (10.5, 3, 12, 1), (30.0, 1, 1, 1), (31.0, 3, 12, 1))
+    seen = events_of((10.0, 1, 1, 1), (10.5, 3, 12, 1), (30.0, 1, 1, 1), (31.0, 3, 12, 1))
     time, particle, cosine = event_log.entries_of(seen)
     assert time.tolist() == [10.0, 30.0]
     assert particle.tolist() == [1, 1]
@@ -71,8 +71,8 @@ def test_autocorrelation_of_directions_that_are_kept_is_one() -> None:
     cosine = np.repeat(np.sqrt(1.0 - random.uniform(-1.0, 1.0, 400) ** 2), 30)
     particle, time = np.repeat(np.arange(400), 30), np.tile(np.arange(30.0), 400)
     lags = np.array([1, 3])
-    kept = event_log.autocorrelations(time, particle, cosine, lags, 20.0)
-    assert kept == pytest.approx(np.ones((event_log.GROUPS, 2)), rel=1e-9)
+    found = event_log.autocorrelations(time, particle, cosine, lags, 20.0)
+    assert found == pytest.approx(np.ones((event_log.GROUPS, 2)), rel=1e-9)
     mixed = event_log.autocorrelations(time, particle, random.permutation(cosine), lags, 20.0)
     assert np.abs(mixed.mean(axis=0)) == pytest.approx(0.0, abs=0.05)
 
@@ -83,7 +83,7 @@ def test_what_follows_channel2_is_counted_by_groups() -> None:
         start = 0.1 * particle
         events += [(start, 4, 21, particle), (start + 11.0, 4, 12, particle)]
         events += [(start + 22.0, 1, 1, particle)]
-    share, stay = event_log.after_channel2(told(*events))
+    share, stay = event_log.after_channel2(events_of(*events))
     assert share == pytest.approx(0.5)
     assert stay == pytest.approx(11.0 - 0.25 * math.pi * 1.5)
 
@@ -121,7 +121,7 @@ def test_verdict_counts_what_is_met() -> None:
 
 
 def test_predictions_on_the_page_are_those_of_the_present_theory() -> None:
-    """They need no run: of what a port returns, and of the conductance at the measured chi."""
+    """They need no run: return probability, and conductance at the measured chi."""
     rows = json.loads((HERE / "experiments.json").read_text())["rows"]
     found = ports.disc(Circuit(1000, 1000))
     predicted = [one["predicted"] for one in rows if one["experiment"] == 2]

@@ -1,7 +1,7 @@
-"""Counts of channel 2 with and against the current: tables and picture of the page beside.
+"""Counts of channel 2 with and against the current: tables and picture of the page in this folder.
 
-Quick: a tenth of the time of the namelists, a minute of a core. --full: as the namelists say, some
-minutes of a core and 0.1 GB.
+Quick: a tenth of the time of the namelists, a minute of a core. --full: the namelists unchanged,
+some minutes of a core and 0.1 GB.
 """
 
 from __future__ import annotations
@@ -44,13 +44,13 @@ def counts_of(work: study.Study, name: str) -> tuple[np.ndarray, float, float]:
     time = data.time.to_numpy()
     step = float(time[1] - time[0])
     # A run may end just before its last entry.
-    kept = (time > transient) & (time < time[-1])
-    net = (data.flow2_21 - data.flow2_12).to_numpy()[:, kept] * step
+    stationary = (time > transient) & (time < time[-1])
+    net = (data.flow2_21 - data.flow2_12).to_numpy()[:, stationary] * step
     counts = np.rint(net)
     if not np.allclose(net, counts, atol=1e-6):
         message = f"{name}: flows of an interval are no whole counts"
         raise ValueError(message)
-    flows = [float(data[key].to_numpy()[:, kept].mean()) for key in ("flow2_21", "flow2_12")]
+    flows = [float(data[key].to_numpy()[:, stationary].mean()) for key in ("flow2_21", "flow2_12")]
     return counts.astype(int), step, math.log(flows[0] / flows[1])
 
 
@@ -61,7 +61,7 @@ def summed(counts: np.ndarray, length: int) -> np.ndarray:
 
 
 def slopes(name: str, counts: np.ndarray, step: float, predicted: float) -> Rows:
-    """Return ln P(j)/P(-j) over j for each length and each j that has counts enough."""
+    """Return ln P(j)/P(-j) over j for each length and each j with enough counts."""
     rows = []
     for length in SHORT:
         whole = summed(counts, round(length / step))
@@ -77,7 +77,7 @@ def slopes(name: str, counts: np.ndarray, step: float, predicted: float) -> Rows
 def variances(name: str, counts: np.ndarray, step: float) -> Rows:
     """Return the variance of counts per unit time, and 2 mean/variance, by length.
 
-    Each run is cut into parts; errors are those of means over replicas and parts.
+    Each run is divided into parts; errors are those of means over replicas and parts.
     """
     rows = []
     mean = counts.mean() / step
@@ -87,7 +87,7 @@ def variances(name: str, counts: np.ndarray, step: float) -> Rows:
         if usable < 2:
             continue
         parts = whole[:, : usable * PARTS].reshape(-1, usable)
-        # About the mean of all: a part's own would hide what is slower than it.
+        # About the mean of all: the mean of a part would remove slower fluctuations.
         spread = ((parts - mean * length) ** 2).mean(axis=1) / length
         rows.append({"case": name, "t": length, "current": mean, "variance_rate": spread.mean(),
                      "error": spread.std(ddof=1) / math.sqrt(spread.size),
@@ -119,7 +119,7 @@ def figure(ratios: Rows, spreads: Rows) -> Figure:
 
 
 def run(work: study.Study) -> None:
-    """Make everything of the page."""
+    """Make all tables and pictures of the page."""
     found: dict[str, Rows] = {"slopes": [], "variances": []}
     for name in CASES:
         counts, step, predicted = counts_of(work, name)

@@ -1,4 +1,4 @@
-"""Runs from single states, forth and back: what becomes of a few particles, event by event."""
+"""Runs from single states, forwards and back: events of a few particles."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
     Floats = NDArray[np.float64]
 
-# x y ux uy; all fly along the channel, so that every event can be worked out in the head
+# x y ux uy; all move along the channel, so that every event can be computed by hand
 FROM_URN2 = ((0.7, 0.05, -1.0, 0.0), (0.8, -0.05, -1.0, 0.0))
 PASSER = (-0.1, 0.0, 1.0, 0.0)
 EXAMPLE_TIME = 0.8
@@ -42,7 +42,7 @@ def final_state(path: Path) -> list[Floats]:
 def forth_and_back(
     work: study.Study, name: str, changes: Groups, columns: Sequence[Floats]
 ) -> list[Path]:
-    """Run from a state, turn all velocities, run as long again; return both results files."""
+    """Run from a state, reverse all velocities, run as long again; return both results files."""
     files = []
     for way in ("forth", "back"):
         state = states_file(work.folder / f"{name}_{way}.txt", columns)
@@ -56,32 +56,32 @@ def forth_and_back(
 def example(
     work: study.Study, name: str, states: Sequence[Sequence[float]], turn: float = EXAMPLE_TIME
 ) -> dict[str, object]:
-    """Run a few particles forth and back; return the events of both as rows, and the end."""
+    """Run a few particles forwards and back; return the events as rows, and the final states."""
     changes = {
         "particles": {"number": len(states), "urn1_number": None},
         "gate": {"threshold": 1},
         "run": {"duration": turn},
     }
     columns = np.array(states).T
-    told = {"turn": turn}
+    events = {"turn": turn}
     for way, file in zip(
         ("forth", "back"), forth_and_back(work, name, changes, columns), strict=True
     ):
         log, end = read_log(file), final_state(file)
-        told[way] = [
+        events[way] = [
             (time, words(kind, where, particle))
             for time, kind, where, particle in zip(
                 log.time, log.kind, log.where, log.particle, strict=True
             )
         ]
-        told[f"{way}_end"] = np.column_stack(end)
+        events[f"{way}_end"] = np.column_stack(end)
     start = np.array(states)
-    told["returns_within"] = float(np.abs(told["back_end"][:, :2] - start[:, :2]).max())
-    return told
+    events["returns_within"] = float(np.abs(events["back_end"][:, :2] - start[:, :2]).max())
+    return events
 
 
 def words(kind: int, where: int, particle: int) -> str:
-    """Return an event in words."""
+    """Return an event as text."""
     urns = "from urn 1 to urn 2" if where == 12 else "from urn 2 to urn 1"
     return {
         ENTRY: f"particle {particle} enters gate {where}",
@@ -91,10 +91,10 @@ def words(kind: int, where: int, particle: int) -> str:
     }[int(kind)]
 
 
-def table(work: study.Study, name: str, told: dict[str, object]) -> None:
-    """Write the events forth and back in the order of time."""
-    turn = told["turn"]
-    rows = [[number(time), text] for time, text in told["forth"]]
+def table(work: study.Study, name: str, events: dict[str, object]) -> None:
+    """Write the events forwards and back in the order of time."""
+    turn = events["turn"]
+    rows = [[number(time), text] for time, text in events["forth"]]
     rows.append([f"**{number(turn)}**", "**all velocities are turned**"])
-    rows += [[number(turn + time), text] for time, text in told["back"]]
+    rows += [[number(turn + time), text] for time, text in events["back"]]
     work.table(name, ["t", "event"], rows)

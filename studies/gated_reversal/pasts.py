@@ -1,9 +1,9 @@
-"""Two pasts of one present: with gates, whole regions of phase space are laid on one another.
+"""Two pasts of one present: with gates, different regions of phase space are mapped to one.
 
-Between events particles fly freely, and a gate that fires turns u_x of those whom it counts. So
-where the order of events does not change, the way from a state to that a time later is smooth and
-keeps volume, |det| = 1. But two such regions that have nothing in common can arrive at the same
-place: the way is two to one there, and cannot be run backwards by any rule.
+Between events particles move freely, and a gate that fires reverses u_x of those that it counts. So
+where the order of events does not change, the map from a state to that a time later is smooth and
+conserves volume, |det| = 1. But two disjoint regions can have the same image: the map is two to one
+there, and cannot be inverted by any rule.
 """
 
 from __future__ import annotations
@@ -25,23 +25,23 @@ if TYPE_CHECKING:
 
     Floats = NDArray[np.float64]
 
-# x y ux uy; either 3 comes through and 1, 2 are turned back, or 1 comes through and 2, 3 are
+# x y ux uy; either 3 comes through and 1, 2 are reversed, or 1 comes through and 2, 3 are
 PASTS = (
     ((1.6, 0.05, -1.0, 0.0), (1.8, -0.05, -1.0, 0.0), (-0.6, 0.0, 1.0, 0.0)),
     ((-1.0, 0.05, 1.0, 0.0), (1.4, -0.05, -1.0, 0.0), (1.6, 0.0, -1.0, 0.0)),
 )
-TURNED = ((0, 1), (1, 2))  # who is turned back in each past; the last of them makes the gate fire
+TURNED = ((0, 1), (1, 2))  # particles reversed in each past; the last of them makes the gate fire
 PAST_TIME = 1.6
 GATE_CHORD = 0.5  # x of the chord of gate 2
-NEARBY = 0.01  # how far starts nearby are, in every coordinate
+NEARBY = 0.01  # distance of nearby starts, in every coordinate
 STEP = 1e-6  # of differences, in every coordinate
 COLOURS = (style.BLUE, style.VERMILION, style.GREEN)
 
 
 def present(start: Floats, past: int) -> Floats:
-    """Return the state at `PAST_TIME` of a start near one of `PASTS`, worked out by hand.
+    """Return the state at `PAST_TIME` of a start near one of `PASTS`, computed by hand.
 
-    Those in `TURNED` fly back from where they are when the last of them is at the chord.
+    Those in `TURNED` are reversed when the last of them is at the chord.
     """
     end = start.copy()
     end[:, :2] += PAST_TIME * start[:, 2:]
@@ -56,7 +56,7 @@ def present(start: Floats, past: int) -> Floats:
 def other_past(end: Floats) -> Floats:
     """Return the start of the other past of an end of the first of `PASTS`, or of one near it.
 
-    1 has flown straight all the time; 2 and 3 were turned when 3 was at the chord of gate 2.
+    1 has moved straight all the time; 2 and 3 were reversed when 3 was at the chord of gate 2.
     """
     x, y, ux, uy = end.T
     turned = PAST_TIME - (x[2] - GATE_CHORD) / ux[2]
@@ -68,7 +68,7 @@ def other_past(end: Floats) -> Floats:
 
 
 def volume_ratio(past: int) -> float:
-    """Return |det| of the way from a past to the present, by differences of all 12 coordinates."""
+    """Return |det| of the map from a past to the present, by differences of all 12 coordinates."""
     start = np.array(PASTS[past])
     columns = []
     for at in range(start.size):
@@ -82,14 +82,14 @@ def volume_ratio(past: int) -> float:
 
 
 def nearby(work: study.Study, tries: int) -> dict[str, object]:
-    """Return how closely starts near the one past and their other pasts meet in the program."""
+    """Return the distances of the final states of starts near one past and of their other pasts."""
     random, worst, apart = np.random.default_rng(6), 0.0, 0.0
     for at in range(tries):
         start = np.array(PASTS[0]) + random.uniform(-NEARBY, NEARBY, (3, 4))
         one = np.array(example(work, f"nearby_{at}_one", start, PAST_TIME)["forth_end"])
         other = example(work, f"nearby_{at}_other", other_past(one), PAST_TIME)
         worst = max(worst, float(np.abs(one - np.array(other["forth_end"])).max()))
-        speed = np.hypot(*start[:, 2:].T)[:, None]  # the program flies at the speed 1
+        speed = np.hypot(*start[:, 2:].T)[:, None]  # particles of the program have the speed 1
         flown = present(np.column_stack([start[:, :2], start[:, 2:] / speed]), 0)
         apart = max(apart, float(np.abs(one - flown).max()))
     return {"tries": tries, "within": NEARBY, "differ_by": worst, "by_hand_differ_by": apart}
@@ -152,18 +152,18 @@ def table(work: study.Study, one: dict, other: dict) -> None:
 
 
 def run(work: study.Study) -> None:
-    """Fly both pasts, and others nearby; draw `two_pasts`, keep the numbers."""
-    told = {
+    """Run both pasts, and others nearby; draw `two_pasts`, store the numbers."""
+    histories = {
         f"past{at}": example(work, f"example_past{at}", past, PAST_TIME)
         for at, past in enumerate(PASTS, 1)
     }
-    one, other = (np.array(past["forth_end"]) for past in told.values())
+    one, other = (np.array(past["forth_end"]) for past in histories.values())
     numbers = {
-        **told,
+        **histories,
         "differ_by": float(np.abs(one - other).max()),
         "nearby": nearby(work, int(work.pick(5, 50))),
         "volume_ratios": [volume_ratio(past) for past in (0, 1)],
     }
     work.keep("pasts", numbers)
-    table(work, told["past1"], told["past2"])
+    table(work, histories["past1"], histories["past2"])
     work.draw(figure_pasts(), "two_pasts")

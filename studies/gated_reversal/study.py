@@ -1,11 +1,11 @@
-"""Time reversal with gates: what becomes of their reversals when all velocities are turned.
+"""Time reversal with gates: which of their reversals are undone when all velocities are reversed.
 
-A reversal turns T + 1 particles that head for the other gate. Run backwards, it is undone if those
-T + 1, and nobody else, come back to the gate. But others may be on their way out of it: turned by
-an earlier reversal, or come through from the other gate. Backwards they are entrants like all, the
-gate counts them too, and it fires too early. So a single reversal is undone exactly if nobody else
-heads out of its gate at that moment; and the first instant, going back, when more than T head out
-together is where the two histories part.
+A reversal reverses T + 1 particles that move to the other gate. Backwards in time it is undone if
+these T + 1, and no others, return to the gate. But other particles may be moving out of it:
+reversed by an earlier reversal, or come through from the other gate. Backwards they are entrants
+like all, the gate counts them too, and it fires too early. So a single reversal is undone exactly
+if no other particle moves out of its gate at that time; and the two histories separate at the first
+time, backwards, at which more than T move out together.
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ from studies.event_log import (
     REVERSAL,
     Log,
     outward_stays,
+    particle_events,
     read_log,
-    stories,
 )
 from studies.gated_reversal import examples, pasts
 
@@ -41,27 +41,27 @@ if TYPE_CHECKING:
 
     Floats = NDArray[np.float64]
 
-CLOSE = 1e-6  # two events that mirror each other are closer in time than this
+CLOSE = 1e-6  # largest difference in time of two events that mirror each other
 SCAN = ((2, 1), (10, 1), (100, 1), (1000, 1), (1000, 2), (1000, 4), (1000, 7), (1000, 10),
         (1000, 14), (1000, 18), (1000, 22))  # (N, T)  # fmt: skip
-# N, T, for how long runs backwards are followed
+# N, T, duration of runs backwards
 TURNED = ((100, 1, 12.0), (1000, 2, 12.0), (1000, 7, 12.0), (1000, 18, 12.0))
 BINS = np.array([0.0, 0.03, 0.08, 0.17, 0.33, 0.5, 0.75, 1.0])  # of the time back, as a share
 SURE = 0.95  # of bounds
 BLOCKS = 20  # of time, from which the errors of the scan are taken
-APART = 60.0  # time between two turnings
+APART = 60.0  # time between two starts of runs backwards
 
 
 
 @dataclass(frozen=True)
 class Reversals:
-    """What can be said of the reversals in one log.
+    """The reversals in one log.
 
     Attributes
     ----------
-    time, gate, size : of each, shape (reversal,).
-    alone : whether nobody else headed out of the gate then.
-    parting : where a run backwards from the end leaves the history, going back.
+    time, gate, size : of each reversal, shape (reversal,).
+    alone : whether no other particle moved out of the gate then.
+    parting : time at which a run backwards from the end leaves the history.
     """
 
     time: Floats
@@ -72,10 +72,10 @@ class Reversals:
 
 
 def reversals_of(log: Log, threshold: int, end: float = math.inf) -> Reversals:
-    """Return the reversals before `end`, and what a run backwards from there must do to them."""
+    """Return the reversals before `end`, and the predictions for a run backwards from there."""
     known = log.time < end
     log = Log(*(getattr(log, field.name)[known] for field in fields(log)))
-    gate, start, stop = outward_stays(stories(log))
+    gate, start, stop = outward_stays(particle_events(log))
     fired = np.flatnonzero(log.kind == REVERSAL)
     time, where = log.time[fired], log.where[fired]
     alone, parting = np.ones(fired.size, bool), -math.inf
@@ -84,8 +84,8 @@ def reversals_of(log: Log, threshold: int, end: float = math.inf) -> Reversals:
         begins, ends = np.sort(start[mine]), np.sort(stop[mine])
         here = where == one
         came, left = (np.searchsorted(x, time[here], "left") for x in (begins, ends))
-        alone[here] = came == left  # who made it reverse is out at once
-        # who heads out when one of them leaves, that one too
+        alone[here] = came == left  # the entrant that caused it is out at once
+        # particles moving out when one of them leaves, that one included
         together = np.searchsorted(begins, ends, "left") - np.arange(ends.size)
         early = ends[(together > threshold) & (ends < end)]
         crowded = time[here][~alone[here]]
@@ -94,7 +94,7 @@ def reversals_of(log: Log, threshold: int, end: float = math.inf) -> Reversals:
 
 
 def mirrored(forward: Reversals, backward: Reversals, turn: float) -> NDArray[np.bool_]:
-    """Tell which reversals have a mirror image in the other run: gate, number, time from `turn`."""
+    """Tell which reversals have a mirror image in the other run, by gate, number and time."""
     found = np.zeros(forward.time.size, bool)
     for one in (1, 2):
         here, there = np.flatnonzero(forward.gate == one), backward.gate == one
@@ -111,12 +111,12 @@ def mirrored(forward: Reversals, backward: Reversals, turn: float) -> NDArray[np
 
 
 def start_number(work: study.Study, number: int, threshold: int) -> int:
-    """Return how many to start in urn 1 for a state near the stationary one."""
+    """Return the initial number in urn 1 for a state near the stationary one."""
     if number < 100:
         return number // 2
-    said = work.theory("window", number=number, threshold=threshold)
-    stable = [root["mass_spread"] for root in said["roots"] if root["kind"] == "stable"]
-    spread = 0.0 if said["homogeneous"] == "stable" else min(stable, default=0.0)
+    theory = work.theory("window", number=number, threshold=threshold)
+    stable = [root["mass_spread"] for root in theory["roots"] if root["kind"] == "stable"]
+    spread = 0.0 if theory["homogeneous"] == "stable" else min(stable, default=0.0)
     return round(0.5 * number * (1.0 - spread))
 
 
@@ -135,8 +135,8 @@ def _changes(
 def share_of(hits: ArrayLike, counts: ArrayLike) -> tuple[float, float]:
     """Return a share and its error from groups: hits of counts in each, shape (group,).
 
-    Those of one group depend on each other (a wrong firing spoils the next ones), so the groups'
-    scatter is the error, not that of single ones.
+    Those of one group depend on each other (a wrong reversal affects the next ones), so the error
+    is from the scatter of the groups, not from that of single ones.
     """
     hit, count = np.asarray(hits, float), np.asarray(counts, float)
     total = count.sum()
@@ -151,12 +151,12 @@ def share_of(hits: ArrayLike, counts: ArrayLike) -> tuple[float, float]:
 
 
 def bound_of_none(count: float) -> float:
-    """Return the share at which none of `count` independent ones is seen in 5 % of cases."""
+    """Return the share at which none of `count` independent events occurs in 5 % of cases."""
     return 1.0 - (1.0 - SURE) ** (1.0 / count)
 
 
 def _scan(work: study.Study) -> list[dict[str, object]]:
-    """Return, for each N and T, how many reversals single ones would be undone."""
+    """Return, for each N and T, the share of reversals that would be undone one by one."""
     rows = []
     for number, threshold in SCAN:
         duration = work.pick(2000.0, 20000.0) * max(1.0, (100.0 / number) ** 2)
@@ -182,9 +182,9 @@ def _scan(work: study.Study) -> list[dict[str, object]]:
 def _backwards(
     work: study.Study, number: int, threshold: int, back: float, turns: int
 ) -> dict[str, object]:
-    """Return how many reversals are undone against the time back, from runs turned round.
+    """Return the share of undone reversals against the time back, from runs backwards.
 
-    One run with a log goes on; its state is taken every now and then, turned, and run backwards.
+    One run has a log; states of it are taken at intervals, reversed, and run backwards.
     """
     times = 200.0 + APART * np.arange(1, turns + 1)
     name = f"turned_{number}_{threshold}"
@@ -214,9 +214,9 @@ def _backwards(
         done.append(mirrored(forward, backward, turn)[recent].astype(float))
         strange = ~mirrored(backward, forward, turn)
         seen = float(backward.time[strange].min(initial=math.inf))
-        told = turn - forward.parting
-        agreed += abs(seen - told) < CLOSE if told < back else seen >= back
-        partings.append(told)
+        predicted = turn - forward.parting
+        agreed += abs(seen - predicted) < CLOSE if predicted < back else seen >= back
+        partings.append(predicted)
     counts, hits = (
         np.array([np.histogram(age / back, BINS, weights=one)[0] for age, one in pairs])
         for pairs in ([(age, None) for age in ages], list(zip(ages, done, strict=True)))
@@ -235,24 +235,24 @@ def _backwards(
 def figure_reversal(scan: Sequence[dict], turned: Sequence[dict]) -> Figure:
     """Return the share of single reversals undone against T, and that of runs against time.
 
-    Where none was undone, the share that 95 % of such counts would have seen is a bound.
+    If none was undone, the share at which 95 % of such counts would not be 0 is a bound.
     """
     made = style.figure(style.PAGE, 3.2)
     left, right = made.subplots(1, 2)
     rows = [row for row in scan if row["number"] == 1000 and row["reversals"]]
     at = [row["threshold"] / row["number"] for row in rows]
-    told = [np.array([row[name] for row in rows], float)
-            for name in ("share", "error", "reversals")]  # fmt: skip
-    _draw_shares(left, np.array(at), *told, "o", style.BLUE)
+    columns = [np.array([row[name] for row in rows], float)
+               for name in ("share", "error", "reversals")]  # fmt: skip
+    _draw_shares(left, np.array(at), *columns, "o", style.BLUE)
     left.set_title("(a)  turned at once, $N = 1000$")
     style.label_fraction(left)
     left.set_ylabel("share of reversals undone")
     left.set_ylim(-0.08, 1.03)
     for row, colour, mark in zip(turned, style.CYCLE, "osD^v", strict=False):
-        told = [np.array(row[name], float)
-                for name in ("time_back", "share", "share_error", "counts")]  # fmt: skip
+        columns = [np.array(row[name], float)
+                   for name in ("time_back", "share", "share_error", "counts")]  # fmt: skip
         label = f"$N = {row['number']}$, $T = {row['threshold']}$"
-        _draw_shares(right, *told, mark, colour, label=label)
+        _draw_shares(right, *columns, mark, colour, label=label)
     right.set_xscale("log")
     right.set_title("(b)  turned later")
     right.set_xlabel("time from reversal to turning  (length / $v$)")
@@ -267,7 +267,7 @@ def _draw_shares(
     axes: Axes, x: Floats, share: Floats, error: Floats, counts: Floats, mark: str, colour: str,
     **look: object,
 ) -> None:  # fmt: skip
-    """Draw shares with their errors, and bounds in place of those that are 0."""
+    """Draw shares with their errors, and bounds for those that are 0."""
     seen = share > 0.0
     axes.errorbar(x[seen], share[seen], error[seen], fmt=f"{mark}-", color=colour, ms=2.5, lw=0.8,
                   elinewidth=1.0, capsize=3.0, **look)  # fmt: skip
@@ -293,16 +293,16 @@ def tables(work: study.Study, scan: Sequence[dict], turned: Sequence[dict]) -> N
 
 
 def run(work: study.Study) -> None:
-    """Run forth and back, count; keep numbers, write tables, draw `gated` and `two_pasts`."""
+    """Run forwards and back; store numbers, write tables, draw `gated` and `two_pasts`."""
     scan = _scan(work)
     turned = [_backwards(work, *one, int(work.pick(20, 100))) for one in TURNED]
-    told = {"undone": examples.example(work, "example_undone", examples.FROM_URN2)}
+    events = {"undone": examples.example(work, "example_undone", examples.FROM_URN2)}
     other = (*examples.FROM_URN2, examples.PASSER)
-    told["not_undone"] = examples.example(work, "example_not_undone", other)
-    work.keep("gated_reversal", {"scan": scan, "turned": turned, "examples": told})
+    events["not_undone"] = examples.example(work, "example_not_undone", other)
+    work.keep("gated_reversal", {"scan": scan, "turned": turned, "examples": events})
     tables(work, scan, turned)
     for name in ("undone", "not_undone"):
-        examples.table(work, name, told[name])
+        examples.table(work, name, events[name])
     work.draw(figure_reversal(scan, turned), "gated")
     pasts.run(work)
 

@@ -1,4 +1,4 @@
-"""Reversal with gates: logs worked out by hand, and the program run backwards."""
+"""Reversal with gates: logs computed by hand, and the program run backwards."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import pytest
 
 from postproc.study import Study
 from postproc.tests.looks import assert_looks_apart
-from studies.event_log import Log, outward_stays, stories
+from studies.event_log import Log, outward_stays, particle_events
 from studies.gated_reversal import examples, pasts
 from studies.gated_reversal import study as gated
 
@@ -23,22 +23,22 @@ def _log(*events: tuple[float, int, int, int]) -> Log:
     return Log(time, *(column.astype(int) for column in (kind, where, particle)))
 
 
-# particle 1 enters gate 2 at 0.2, 2 at 0.3, and both are turned back; 3 comes through at 0.1
+# particle 1 enters gate 2 at 0.2, 2 at 0.3, and both are reversed; 3 comes through at 0.1
 PAIR = ((0.2, 1, 2, 1), (0.3, 1, 2, 2), (0.3, 2, 2, 2))
 PASSER = ((-0.4, 1, 1, 3), (0.1, 3, 12, 3))
 
 
 def test_stories_tell_who_was_turned_and_who_got_through() -> None:
-    told = stories(_log(*PAIR, *PASSER))
-    assert told.particle.tolist() == [1, 2, 3, 3]
-    assert told.turned[:2] == pytest.approx([0.3, 0.3], abs=1e-6)
-    assert np.isnan(told.turned[2:]).all()
-    assert told.after.tolist() == [-1, -1, 3, -1]
-    assert told.before.tolist() == [-1, -1, -1, 2]
+    events = particle_events(_log(*PAIR, *PASSER))
+    assert events.particle.tolist() == [1, 2, 3, 3]
+    assert events.turned[:2] == pytest.approx([0.3, 0.3], abs=1e-6)
+    assert np.isnan(events.turned[2:]).all()
+    assert events.after.tolist() == [-1, -1, 3, -1]
+    assert events.before.tolist() == [-1, -1, -1, 2]
 
 
 def test_who_heads_out_of_a_gate_and_how_long() -> None:
-    gate, start, stop = outward_stays(stories(_log(*PAIR, *PASSER)))
+    gate, start, stop = outward_stays(particle_events(_log(*PAIR, *PASSER)))
     assert gate.tolist() == [2, 2, 2]
     assert start == pytest.approx([0.3, 0.3, 0.1], abs=1e-6)
     assert stop == pytest.approx([0.4, 0.3, 0.6], abs=1e-6)
@@ -84,13 +84,13 @@ def test_example_that_is_undone_and_one_that_is_not(tmp_path: Path) -> None:
 
 def test_two_pasts_have_one_present(tmp_path: Path) -> None:
     work = Study(tmp_path, HERE)
-    told = [
+    histories = [
         examples.example(work, f"past{at}", past, pasts.PAST_TIME)
         for at, past in enumerate(pasts.PASTS)
     ]
-    ends = [np.array(one["forth_end"]) for one in told]
+    ends = [np.array(one["forth_end"]) for one in histories]
     assert ends[0] == pytest.approx(ends[1], abs=1e-14)
-    fired = [[time for time, text in one["forth"] if "reverses 2" in text] for one in told]
+    fired = [[time for time, text in one["forth"] if "reverses 2" in text] for one in histories]
     assert fired == [pytest.approx([1.3]), pytest.approx([1.1])]
     starts = np.array(pasts.PASTS)[:, :, 0]
     assert (np.abs(starts) > 0.5).all()  # all begin in the urns
@@ -139,7 +139,7 @@ def test_reversals_of_one_run_count_as_one_in_the_error() -> None:
     share, error = gated.share_of(hits, np.full(400, 50))
     assert share == pytest.approx(0.5, abs=0.03)
     assert error == pytest.approx(np.std(hits / 50.0) / 20.0, rel=0.01)
-    assert error > 2.0 * math.sqrt(0.25 / 20000)  # what single ones would give
+    assert error > 2.0 * math.sqrt(0.25 / 20000)  # error of independent ones
     assert math.isnan(gated.share_of([0, 0], [0, 0])[0])
     assert math.isnan(gated.share_of([1, 0], [3, 0])[1])
 
@@ -152,9 +152,9 @@ def test_run_backwards_parts_where_the_log_says(tmp_path: Path) -> None:
 
 
 def test_picture_and_tables_of_kept_numbers(tmp_path: Path) -> None:
-    kept = json.loads((HERE / "numbers.json").read_text())  # of a quick run
-    assert_looks_apart(gated.figure_reversal(**kept))
-    gated.tables(Study(tmp_path), **kept)
+    stored = json.loads((HERE / "numbers.json").read_text())  # of a quick run
+    assert_looks_apart(gated.figure_reversal(**stored))
+    gated.tables(Study(tmp_path), **stored)
     rows = (tmp_path / "scan.csv").read_text().splitlines()
     assert rows[2] == "10,1,0.10,0.025,0.9245 +- 0.0035"
     rows = (tmp_path / "turned.csv").read_text().splitlines()

@@ -1,7 +1,7 @@
 """Experiments of the Lorentz circuit: scatterers in channel 2, current over chi.
 
-Runs are made in build/lorentz/quick, or full (some minutes of one core), and not repeated where
-they are complete. Numbers go to lorentz.json, tables to CSV files, the picture to lorentz.png.
+Runs are made in build/lorentz/quick, or full (some minutes of one core), and not repeated if they
+are complete. Writes numbers to lorentz.json, tables to CSV files, the picture to lorentz.png.
 """
 
 from __future__ import annotations
@@ -37,13 +37,13 @@ WIDTHS = (0.02, 0.03, 0.04, 0.05, 0.06, 0.07, 0.08)
 THRESHOLDS = (3, 5, 6, 7, 8, 9, 11, 13, 14)
 FREE_RADII = (0.0, 0.02, 0.04)
 STARTS = (0.5, 1.0)
-# Where the transition is looked at closely: radii by N, all at the same T/N.
+# Runs close to the transition: radii by N, all at the same T/N.
 CLOSE = {
     NUMBER: (0.012, 0.013, 0.014, 0.015, 0.016, 0.017, 0.018),
     MANY: (0.008, 0.009, 0.010, 0.011, 0.012, 0.013, 0.014),
 }
-LONG = 8.0  # so many times as long, the transient too
-APART = 20.0  # time between two looks
+LONG = 8.0  # factor of the duration, and of the transient
+APART = 20.0  # time between two records
 HALFWAY, BETWEEN = 0.3, (0.2, 0.5)  # chi between homogeneous and polarised
 
 
@@ -62,7 +62,7 @@ class Runs:
     """Runs of one kind, in a study's folder."""
 
     def __init__(self, work: study.Study, replicas: int, duration: float) -> None:
-        """Keep where, how many, how long."""
+        """Store the study, the number of replicas and the duration."""
         self.work, self.replicas, self.duration = work, replicas, duration
 
     def rows(self, name: str, scan: dict[str, object], **table: object) -> Rows:
@@ -77,7 +77,7 @@ class Runs:
         return [self._row(one) for one in points(self.work.run(groups, name))]
 
     def close_rows(self, number: int, radius: float) -> Rows:
-        """Run long from both starts; return chi and Binder's cumulant of each."""
+        """Make long runs from both starts; return chi and Binder's cumulant of each."""
         groups: dict[str, dict[str, object]] = {
             "table": {"channel2_width": WIDTH, "scatterers": lattice(6, radius)},
             "particles": {"number": number},
@@ -106,17 +106,17 @@ class Runs:
         return found
 
     def _row(self, point: xr.Dataset) -> dict[str, float]:
-        """Return what a point says, with standard errors over its replicas."""
+        """Return the averages of a point, with standard errors over its replicas."""
         row = {name: float(point[name])
                for name in ("threshold", "channel2_width", "urn1_number")}  # fmt: skip
         chi, current = point.chi.to_numpy(), point.polarised_current.to_numpy()
         row["chi"], row["chi_error"] = mean_of_groups(chi)
         row["polarised_current"], row["polarised_current_error"] = mean_of_groups(current)
-        # Conductance, in that of a straight channel of this width and well mixed urns.
+        # Conductance, over that of a straight channel of this width and well mixed urns.
         width = row["channel2_width"]
         ratio = current / (chi * NUMBER * well_mixed(width, width))
         row["conductance"], row["conductance_error"] = mean_of_groups(ratio)
-        # What the net crossings scatter by over replicas, a particle and a time unit.
+        # Variance of the net crossings over replicas, per particle and unit time.
         net = point.current2.to_numpy()
         row["noise"] = float(net.var(ddof=1) * self.duration / NUMBER)
         row["noise_error"] = row["noise"] * math.sqrt(2.0 / (net.size - 1))
@@ -124,7 +124,7 @@ class Runs:
 
 
 def points(path: Path, group: str | None = None) -> Iterator[xr.Dataset]:
-    """Give the results of each point of a scan, with the dimension replica left."""
+    """Yield the results of each point of a scan, with the dimension replica."""
     data = postproc.open_results(path, group=group)
     axes = [name for name in data.dims if name not in ("replica", "time", "urn", "gate")]
     for place in itertools.product(*(range(data.sizes[name]) for name in axes)):
@@ -140,10 +140,10 @@ def well_mixed(width: float, channel2_width: float = WIDTH) -> float:
 
 
 def cumulant(spread: NDArray[np.float64]) -> tuple[float, float]:
-    """Return 1 - <m^4>/(3 <m^2>^2) of m, shape (replica, look), and its error by jackknife.
+    """Return 1 - <m^4>/(3 <m^2>^2) of m, shape (replica, record), and its error by jackknife.
 
-    0 if m is spread as a Gaussian about 0, 2/3 if it is m0 or -m0. Where states m = 0 and m0 take
-    turns, at a transition that is not continuous, it is below 0.
+    It is 0 if m is Gaussian about 0, and 2/3 if m is m0 or -m0. If states m = 0 and m0 alternate,
+    at a transition that is not continuous, it is below 0.
     """
     second, fourth = (spread**2).mean(axis=1), (spread**4).mean(axis=1)
     count = second.size
@@ -183,7 +183,7 @@ def measure(work: study.Study, replicas: int, duration: float) -> dict[str, Rows
 
 
 def nyquist(rows: Rows, radius: float) -> float:
-    """Return what the net crossings would scatter by if nobody remembered anything.
+    """Return the variance of the net crossings for urns and a channel without memory.
 
     Two conductors in a ring at equilibrium: 2 (N/2) g1 g2/(g1 + g2), for one particle. Without
     scatterers both conduct as straight channels at well mixed urns do.
@@ -289,7 +289,7 @@ def tables(work: study.Study, found: dict[str, Rows]) -> None:
 
 
 def run(work: study.Study) -> None:
-    """Make the runs; keep numbers, write tables, draw `lorentz`."""
+    """Make the runs; store numbers, write tables, draw `lorentz`."""
     found = measure(work, int(work.pick(4, 16)), 2000.0)
     work.keep("lorentz", found)
     tables(work, found)

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, lorentz.Rows]]:
-    """Make tiny runs of all kinds; give their folder and what was found."""
+    """Make tiny runs of all kinds; return their folder and results."""
     folder = tmp_path_factory.mktemp("lorentz")
     with pytest.MonkeyPatch.context() as patch:
         for name, values in (
@@ -36,7 +36,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, lore
 
 
 def discs_of(folder: Path, name: str) -> int:
-    """Return how many discs a run had, by what its results say of it."""
+    """Return the number of discs of a run, from its results."""
     groups = f90nml.reads(postproc.open_results(folder / f"{name}.h5").attrs["namelist"])
     return len(groups["table"].get("scatterers", [])) // 3
 
@@ -54,8 +54,8 @@ def test_discs_are_apart_and_the_channel_is_not_closed(columns: int) -> None:
 
 
 def test_without_memory_two_conductors_scatter_by_the_weaker() -> None:
-    """In a ring the slow one decides: twice N/2 times g1 g2/(g1 + g2), here for one particle."""
-    area = math.pi - 2.0 * (0.5 * math.asin(0.15) + 0.5 * math.asin(0.1))  # but for chords
+    """Two conductors in a ring: twice N/2 times g1 g2/(g1 + g2), here for one particle."""
+    area = math.pi - 2.0 * (0.5 * math.asin(0.15) + 0.5 * math.asin(0.1))  # without segments
     equal = lorentz.nyquist([{"radius": 0.02, "conductance": 1.5}], 0.02)
     assert equal == pytest.approx(0.15 / (math.pi * area), rel=0.1)
     weak = lorentz.nyquist([{"radius": 0.02, "conductance": 1e-3}], 0.02)
@@ -70,7 +70,7 @@ def test_cumulant_tells_one_state_from_two_and_from_three() -> None:
     assert abs(value) < 4.0 * error
     two = np.where(random.random(one.shape) < 0.5, -0.7, 0.7)
     assert lorentz.cumulant(two)[0] == pytest.approx(2.0 / 3.0)
-    # m = 0 most of the time, and m0 now and then.
+    # m = 0 most of the time, and sometimes m0.
     value, error = lorentz.cumulant(np.where(random.random(one.shape) < 0.8, 0.0, two))
     assert value == pytest.approx(1.0 - 1.0 / 0.6, abs=4.0 * error)
 
@@ -95,7 +95,7 @@ def test_every_row_has_its_discs(made: tuple[Path, dict[str, lorentz.Rows]]) -> 
     assert [row["radius"] for row in found["radius"]] == [0.0, 0.0, 0.02, 0.02]
     for name, discs in (("radius_0", 0), ("radius_0.02", 15), ("columns_2", 5), ("straight", 0)):
         assert discs_of(folder, name) == discs
-    # Discs let less through than nothing does.
+    # Discs reduce the conductance of the channel.
     conducts = {row["radius"]: row["conductance"] for row in found["radius"]
                 if row["urn1_number"] == lorentz.NUMBER}  # fmt: skip
     assert 0.0 < conducts[0.02] < 0.5

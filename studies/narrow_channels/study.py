@@ -2,7 +2,7 @@
 
 Runs narrow.nml with other widths, into build/narrow_channels/quick, or full, and writes results.csv
 and narrow_channels.png: the net current of runs and of the theory `direction`, with and without
-what circulates, over that of `window`, the paper's theory. Quick: widths down to 0.1, minutes of a
+circulation, over that of `window`, the paper's theory. Quick: widths down to 0.1, minutes of a
 core. --full: down to 0.05, as shown on the page.
 """
 
@@ -29,14 +29,16 @@ CASES = {
     "D": (1.0, (4, 40)),
 }
 QUICK, FULL = (0.3, 0.2, 0.1), (0.3, 0.2, 0.1, 0.05)
-THEORY = (0.3, 0.2, 0.1, 0.05, 0.02, 0.01, 0.001)  # the last stands for the limit
+THEORY = (0.3, 0.2, 0.1, 0.05, 0.02, 0.01, 0.001)  # the last represents the limit
 FIELDS = ("circuit", "ratio", "T1", "T2", "w", "N", "current", "current_error", "chi", "chi_error",
           "over_paper", "over_paper_error", "direction", "without_circulation", "F", "F_error",
           "time")  # fmt: skip
 
 
-def told(work: study.Study, model: str, case: str, width: float) -> tuple[dict[str, float], float]:
-    """Return what a theory says of the stable state with the largest current, and an urn's area."""
+def theory_state(
+    work: study.Study, model: str, case: str, width: float
+) -> tuple[dict[str, float], float]:
+    """Return a theory's stable state with the largest current, and an urn's area."""
     ratio, thresholds = CASES[case]
     found = work.theory(
         model, number=round(LOAD / width), threshold=thresholds, channel1_width=width,
@@ -51,7 +53,7 @@ def measured(work: study.Study, case: str, width: float) -> dict[str, float]:
     """Run one circuit at one width; return means over replicas with errors."""
     ratio, thresholds = CASES[case]
     number = round(LOAD / width)
-    start = told(work, "direction", case, width)[0]["urn2_number"]
+    start = theory_state(work, "direction", case, width)[0]["urn2_number"]
     transient = max(2.0 * RELAXATION / width**3, 1e4)
     changes = {
         "table": {"channel1_width": width, "channel2_width": ratio * width},
@@ -72,13 +74,13 @@ def measured(work: study.Study, case: str, width: float) -> dict[str, float]:
 
 
 def rows_of(work: study.Study) -> list[dict[str, object]]:
-    """Return a row for each circuit and width, those of theories alone without a run."""
+    """Return a row for each circuit and width, also for theories without a run."""
     rows: list[dict[str, object]] = []
     widths = work.pick(QUICK, FULL)
     for case, (ratio, thresholds) in CASES.items():
         for width in THEORY:
-            paper, area = told(work, "window", case, width)
-            state, _ = told(work, "direction", case, width)
+            paper, area = theory_state(work, "window", case, width)
+            state, _ = theory_state(work, "direction", case, width)
             row: dict[str, object] = {
                 "circuit": case,
                 "ratio": ratio,
@@ -94,7 +96,7 @@ def rows_of(work: study.Study) -> list[dict[str, object]]:
                 row |= measured(work, case, width)
                 row["over_paper"] = row["current"] / abs(paper["net_current"])
                 row["over_paper_error"] = row["current_error"] / abs(paper["net_current"])
-                # the difference of the urns' numbers has next to no error
+                # the error of the difference of the urns' numbers is negligible
                 unit = ratio * width * row["chi"] * row["N"] / (math.pi * area)
                 row["F"], row["F_error"] = row["current"] / unit, row["current_error"] / unit
             rows.append(row)
@@ -102,9 +104,9 @@ def rows_of(work: study.Study) -> list[dict[str, object]]:
 
 
 def limits_of(rows: list[dict[str, object]]) -> list[dict[str, object]]:
-    """Return for each circuit what runs tend to at w = 0, by a straight line in w, with its error.
+    """Return for each circuit the limit of runs at w = 0, by a straight line in w, with its error.
 
-    An error of four replicas is itself uncertain by 40 %: none is taken as less than the median.
+    The error of four replicas is itself uncertain by 40 %: the median is the lower bound of all.
     """
     found = []
     for case in CASES:
@@ -149,7 +151,7 @@ def figure(rows: list[dict[str, object]]) -> Figure:
 
 
 def run(work: study.Study) -> None:
-    """Make everything of the page."""
+    """Make all tables and pictures of the page."""
     rows = rows_of(work)
     for name, fields, table in (
         ("results", FIELDS, rows),

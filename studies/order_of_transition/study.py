@@ -30,22 +30,22 @@ if TYPE_CHECKING:
     Row = dict[str, object]
 
 STARTS = (0.5, 0.95)
-INTERVAL = 20.0  # of time, between two looks
+INTERVAL = 20.0  # time between two records
 TRANSIENT = 5000.0  # directions relax in 25/w^3 = 900
 BINS = np.linspace(0.0, 1.0, 26)  # of |m|
-LOW, HIGH = 0.15, 0.4  # chi: a run that has been below and above has crossed
-HALFWAY = 0.3  # chi, at which the transition is said to be
-MANY = 4000  # N: of the Lorentz circuit, and the most of a quick study
+LOW, HIGH = 0.15, 0.4  # chi: a run with values below and above has crossed
+HALFWAY = 0.3  # chi that defines the transition
+MANY = 4000  # N of the Lorentz circuit, and largest N of a quick study
 LONGER = 8.0
 WIDE = 0.2  # w' of the Lorentz circuit
-PARTED = 0.3  # difference of chi from both starts that is hysteresis
+PARTED = 0.3  # least difference of chi from both starts for hysteresis
 THRESHOLDS = (2, 4, 7, 10, 14, 28, 40, 48, 56, 64, 80, 100)
 RATIOS = np.arange(0.6, 3.5, 0.01)
 
 
 @dataclass(frozen=True)
 class Case:
-    """One T and one N l, so one load; w' that are run.
+    """One T and one N l, so one load, and the w' of runs.
 
     Attributes
     ----------
@@ -78,7 +78,7 @@ CASES = {
     "V": Case(64, 4120, (0.004,), (16000,)),
     "U": Case(64, 4200, (0.015,), (16000,)),
 }
-# Where both states take turns: long runs of few particles, for barriers and cumulants.
+# Where both states alternate: long runs of few particles, for barriers and cumulants.
 LONG = {"A": Case(5, 1000, (0.0284, 0.0292, 0.0300), (250, 500, 1000, 1500))}
 RADII = {7: (0.012, 0.013, 0.014, 0.015, 0.016), 28: (0.012, 0.013)}  # by T
 NOTHING = dict.fromkeys(("barrier", "barrier_error", "w'"), math.nan)
@@ -88,14 +88,14 @@ FIELDS = ("circuit", "T", "N", "l", "w'", "chi_equal", "chi_equal_error", "chi_f
 
 
 def histogram(spread: Floats) -> Floats:
-    """Return how often |m| was in each of `BINS`."""
+    """Return the histogram of |m| in `BINS`."""
     return np.histogram(np.abs(spread), BINS)[0].astype(float)
 
 
 def barrier(counts: Floats) -> float:
     """Return the log of the deepest minimum between two modes, below the lower mode; 0: one mode.
 
-    A bin that nobody visited counts half.
+    An empty bin counts 1/2.
     """
     filled = np.maximum(counts, 0.5)
     left, right = np.maximum.accumulate(filled), np.maximum.accumulate(filled[::-1])[::-1]
@@ -103,7 +103,7 @@ def barrier(counts: Floats) -> float:
 
 
 def cumulant(spread: Floats) -> float:
-    """Return Binder's, 1 - <m^4>/(3 <m^2>^2)."""
+    """Return Binder's cumulant, 1 - <m^4>/(3 <m^2>^2)."""
     return float(1.0 - (spread**4).mean() / (3.0 * (spread**2).mean() ** 2))
 
 
@@ -127,9 +127,9 @@ def rows_of(
 
     Parameters
     ----------
-    work, name, case, number : what is run.
-    discs : radius of those in channel 2; None: there are none.
-    times : as long as others.
+    work, name, case, number : study, circuit and N.
+    discs : radius of the discs in channel 2; None: there are none.
+    times : factor of the duration.
     label : of the runs' files.
     """
     length = case.reach / number
@@ -152,9 +152,9 @@ def rows_of(
     for place, width in enumerate(case.widths):
         row: Row = {"circuit": name, "T": case.threshold, "N": number, "l": length, "w'": width}
         runs, crossed = [], 0
-        for start, kept in enumerate(("chi_equal", "chi_full")):
+        for start, column in enumerate(("chi_equal", "chi_full")):
             at = {"urn1_fraction": start, "channel2_width": place}
-            row[kept], row[f"{kept}_error"] = with_error(
+            row[column], row[f"{column}_error"] = with_error(
                 whole.chi.isel(at, missing_dims="ignore").to_numpy()
             )
             looks = series.isel(at, missing_dims="ignore")
@@ -173,7 +173,7 @@ def rows_of(
 
 
 def lattice(radius: float) -> list[float]:
-    """Return z, y, radius of the 15 discs of the Lorentz circuit: six columns, by turns 2 and 3."""
+    """Return z, y, radius of the 15 discs of the Lorentz circuit: columns of 2 and 3 alternate."""
     found: list[float] = []
     for column in range(6):
         heights = (-0.25, 0.25) if column % 2 == 0 else (-0.5, 0.0, 0.5)
@@ -183,7 +183,7 @@ def lattice(radius: float) -> list[float]:
 
 
 def predictions(work: study.Study) -> dict[str, prediction.Transition]:
-    """Write what the gate's rule says of each circuit, and where the line is of first order."""
+    """Write the predictions for each circuit, and where the transition is of first order."""
     found = {name: prediction.transition(case.threshold, case.load) for name, case in CASES.items()}
     rows = []
     for name, case in CASES.items():
@@ -211,11 +211,11 @@ def predictions(work: study.Study) -> dict[str, prediction.Transition]:
 
 
 def sizes(rows: list[Row]) -> list[Row]:
-    """Return for each circuit and N barrier, cumulant, hysteresis, jump and where they are."""
+    """Return for each circuit and N barrier, cumulant, hysteresis, jump and their w'."""
     found: list[Row] = []
     for name, number in dict.fromkeys((row["circuit"], row["N"]) for row in rows):
         own = [row for row in rows if row["circuit"] == name and row["N"] == number]
-        # where the runs are one distribution, whatever their start
+        # where the distribution does not depend on the start
         turns = [row for row in own if 2 * row["crossed"] >= row["runs"]]
         deep = max(turns, key=lambda row: row["barrier"], default=NOTHING)
         low = min(own, key=lambda row: row["cumulant"])
@@ -277,7 +277,7 @@ def figure(rows: list[Row], long: list[Row], shown: dict[str, prediction.Transit
 
 
 def run(work: study.Study) -> None:
-    """Make everything of the page."""
+    """Make all tables and pictures of the page."""
     shown = predictions(work)
     long = [row for name, case in LONG.items() for number in case.numbers
             for row in rows_of(work, name, case, number, times=LONGER, label="_long")]  # fmt: skip

@@ -1,4 +1,4 @@
-"""The order of the transition: what the gate's rule says, against other ways to the same."""
+"""The order of the transition: predictions against independent methods."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 @pytest.mark.parametrize(("threshold", "ratio"), [(7, 1.681), (28, 1.472)])
 def test_jump_begins_at_the_tricritical_load(threshold: int, ratio: float) -> None:
-    # as `postproc.theory --tricritical` has it, from derivatives at equal halves
+    # from `postproc.theory --tricritical`, by derivatives at equal halves
     assert prediction.transition(threshold, 0.99 * ratio * threshold).jump == 0.0
     assert prediction.transition(threshold, 1.01 * ratio * threshold).jump > 0.1
 
@@ -32,17 +32,17 @@ def test_two_ports_have_the_states_of_the_curve(tmp_path: Path) -> None:
     case = order.CASES["A"]
     found = prediction.transition(case.threshold, case.load)
     ends = [prediction.width_of(k) for k in (found.homogeneous, found.polarised)]
-    number = 10**6  # no particle to speak of is in the channels
+    number = 10**6  # the number in the channels is negligible
     for place, (homogeneous, stable) in {
         -0.2: ("unstable", 1), 0.1: ("stable", 1), 0.9: ("stable", 1), 1.1: ("stable", 0),
     }.items():  # fmt: skip
-        told = Study(tmp_path).theory(
+        theory = Study(tmp_path).theory(
             "two_port", number=number, threshold=case.threshold,
             channel1_length=case.reach / number,
             channel2_width=ends[0] + place * (ends[1] - ends[0]),
         )  # fmt: skip
-        assert told["homogeneous"] == homogeneous
-        assert [one["kind"] for one in told["roots"]].count("stable") == stable
+        assert theory["homogeneous"] == homogeneous
+        assert [one["kind"] for one in theory["roots"]].count("stable") == stable
 
 
 def test_barrier_of_a_large_circuit_is_that_of_the_chain() -> None:

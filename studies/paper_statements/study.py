@@ -1,8 +1,8 @@
-"""Statements of the paper that need more than a run prints: numbers that docs/paper.md cites.
+"""Statements of the paper that need more than one run: numbers that docs/paper.md cites.
 
-Each part makes its runs, and prints numbers with standard errors over replicas:
+Each part makes runs, and prints numbers with standard errors over replicas:
 
-- flows: what channel 1 carries from urn 1 at T = 18, runs of comp05.nml, and theories (5 s);
+- flows: flow of channel 1 from urn 1 at T = 18, runs of comp05.nml, and theories (5 s);
 - slices: chi over T, and current over chi, of paper_slice.nml (15 s);
 - single: what eq. (eqapp5) adds to the current of the single urn, by w and T (5 s);
 - one_channel: chi against N w l/(8 T A) without channel 2 (25 s);
@@ -35,11 +35,11 @@ if TYPE_CHECKING:
     import numpy as np
     import xarray as xr
 
-POLARISED = 0.3  # chi from which on a state is called so
+POLARISED = 0.3  # chi above which a state is called so
 
 
 def plain(width: float) -> float:
-    """Return what channel 2 carries at chi = 1 between well mixed urns, N = 1000, w = 0.3."""
+    """Return the flow of channel 2 at chi = 1 between well mixed urns, N = 1000, w = 0.3."""
     return 1000.0 * width / (math.pi * float(Circuit(1000, 7, channel2_width=width).urn_area))
 
 
@@ -52,8 +52,8 @@ def made(
     return postproc.open_results(work.run(own, name))
 
 
-def said(values: np.ndarray) -> str:
-    """Return mean and standard error of replicas in words."""
+def mean(values: np.ndarray) -> str:
+    """Return mean and standard error of replicas as text."""
     return "{:.4g} +- {:.2g}".format(*mean_of_groups(values))
 
 
@@ -63,11 +63,11 @@ def of_namelist(work: study.Study, name: str) -> xr.Dataset:
 
 
 def flows(work: study.Study) -> None:
-    """Print the flow of channel 1 out of urn 1 at T = 18, and what theories have."""
+    """Print the flow of channel 1 out of urn 1 at T = 18, by runs and by theories."""
     measured = of_namelist(work, "comp05").flow1_12.sel(threshold=18).to_numpy().ravel()
     window, renewal = (float(flow1(Circuit(1000, 18, gate=gate), 500.0))
                        for gate in (WINDOW, RENEWAL))  # fmt: skip
-    print(f"runs {said(measured)}, window {window:.2f}, renewal gate {renewal:.2f}")
+    print(f"runs {mean(measured)}, window {window:.2f}, renewal gate {renewal:.2f}")
 
 
 def slices(work: study.Study) -> None:
@@ -79,22 +79,22 @@ def slices(work: study.Study) -> None:
             here = data.sel(channel2_width=width, threshold=threshold)
             chi = here.chi.to_numpy().ravel()
             share = here.polarised_current.to_numpy().ravel() / chi / plain(float(width))
-            known = f", current over chi {said(share)}" if chi.mean() > POLARISED else ""
-            print(f"  T = {threshold}: chi {said(chi)}{known}")
+            known = f", current over chi {mean(share)}" if chi.mean() > POLARISED else ""
+            print(f"  T = {threshold}: chi {mean(chi)}{known}")
 
 
 def single(work: study.Study) -> None:
-    """Print how far the paper's current of the single urn is above that of runs, by w and T."""
+    """Print the excess of the paper's current of the single urn over runs, by w and T."""
     data = of_namelist(work, "paper_single_urn")
     for width in data.channel1_width.to_numpy():
-        told = []
+        texts = []
         for at, threshold in enumerate(data.threshold.to_numpy()):
             values = data.current1.sel(channel1_width=width)[at].to_numpy()
             circuit = Circuit(1000, int(threshold), float(width), 0.0, gate=WINDOW)
             if values.mean() > 0.0:
                 off = float(flow1(circuit, 1000.0)) / values.mean() - 1.0
-                told.append(f"T = {threshold} {100.0 * off:+.2g} %")
-        print(f"w = {width:g}: {', '.join(told)}")
+                texts.append(f"T = {threshold} {100.0 * off:+.2g} %")
+        print(f"w = {width:g}: {', '.join(texts)}")
 
 
 def one_channel(work: study.Study) -> None:
@@ -105,12 +105,12 @@ def one_channel(work: study.Study) -> None:
         area = float(Circuit(number, threshold, 0.5, 0.0).urn_area)
         for length in data.channel1_length.to_numpy():
             chi = data.chi.sel(channel1_length=length).transpose(..., "replica").to_numpy()
-            told = " and ".join(map(said, chi.reshape(-1, chi.shape[-1])))
-            print(f"N = {number}, {number * 0.5 * length / (8.0 * threshold * area):.3f}: {told}")
+            text = " and ".join(map(mean, chi.reshape(-1, chi.shape[-1])))
+            print(f"N = {number}, {number * 0.5 * length / (8.0 * threshold * area):.3f}: {text}")
 
 
 def averages(work: study.Study) -> None:
-    """Print chi as averaged over time, and what averages over wall collisions add to it."""
+    """Print chi averaged over time, and the difference of averages over wall collisions."""
     data = made(work, "averages", {"engine": "collision", "duration": 4000.0,
                                      "transient_duration": 500.0},
                 {"threshold": [2, 7, 14, 18], "replicas": 8},
@@ -118,7 +118,7 @@ def averages(work: study.Study) -> None:
     for threshold in data.threshold.to_numpy():
         here = data.sel(threshold=threshold)
         apart = (here.chi_collision - here.chi).to_numpy()
-        print(f"T = {threshold}: chi {said(here.chi.to_numpy())}, by collisions {said(apart)} more")
+        print(f"T = {threshold}: chi {mean(here.chi.to_numpy())}, by collisions {mean(apart)} more")
 
 
 def larger(work: study.Study) -> None:
@@ -138,8 +138,8 @@ def polygons(work: study.Study) -> None:
                     table={"channel2_width": shapes.WIDTH, **table},
                     gate={"threshold": 7})  # fmt: skip
         current = data.polarised_current.to_numpy().ravel()
-        print(f"{shape}: chi {said(data.chi.to_numpy().ravel())}, current {said(current)}, "
-              f"over that of well mixed urns {said(current / state.net_current)}")  # fmt: skip
+        print(f"{shape}: chi {mean(data.chi.to_numpy().ravel())}, current {mean(current)}, "
+              f"over that of well mixed urns {mean(current / state.net_current)}")  # fmt: skip
 
 
 def discs(work: study.Study) -> None:
@@ -150,7 +150,7 @@ def discs(work: study.Study) -> None:
     for threshold in data.threshold.to_numpy():
         here = data.sel(threshold=threshold)
         share = here.polarised_current.to_numpy() / (plain(lorentz.WIDTH) * here.chi.to_numpy())
-        print(f"T = {threshold}: chi {said(here.chi.to_numpy())}, current over chi {said(share)} "
+        print(f"T = {threshold}: chi {mean(here.chi.to_numpy())}, current over chi {mean(share)} "
               "of a straight channel")  # fmt: skip
     for number, radius in ((1000, 0.015), (4000, 0.012)):
         table["scatterers"] = lorentz.lattice(6, radius)
@@ -159,7 +159,7 @@ def discs(work: study.Study) -> None:
                     particles={"number": number},
                     gate={"threshold": 7 * number // 1000})  # fmt: skip
         starts = (data.chi.to_numpy().reshape(2, -1)[at] for at in (0, 1))
-        print(f"N = {number}, radius {radius:g}: chi {' and '.join(map(said, starts))} "
+        print(f"N = {number}, radius {radius:g}: chi {' and '.join(map(mean, starts))} "
               "from even urns and from one full urn")  # fmt: skip
 
 

@@ -11,7 +11,7 @@ STUDY = (Path(__file__).parent / "study.py").read_text(encoding="utf-8")
 
 
 def test_every_statement_has_a_command_that_the_page_has() -> None:
-    """And a part of the study that is named is there."""
+    """A named part of the study must exist."""
     heads = "| statement | found | verdict | command |"
     rows = [re.split(r"(?<!\\)\|", line)[1:-1] for line in TEXT.splitlines()
             if line.startswith("| ") and line != heads and "| ---" not in line]  # fmt: skip

@@ -1,7 +1,7 @@
-"""Experiments of other urns: disc, square and hexagons of one area, openings alike.
+"""Experiments with other urns: disc, square and hexagons of equal area and openings.
 
-Runs are made in build/shapes/quick, or full (minutes of one core), and not repeated where they are
-complete. Numbers go to shapes.json, tables to CSV files, the picture to shapes.png.
+Runs are made in build/shapes/quick, or full (minutes of one core), and not repeated if they are
+complete. Writes numbers to shapes.json, tables to CSV files, the picture to shapes.png.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     Found = dict[str, dict[str, Rows]]
 
 NUMBER = 1000
-MANY = 10000  # where particles are independent: those in rational polygons keep what they are
+MANY = 10000  # for independent particles: in rational polygons directions are conserved
 WIDTH = 0.01  # of channel 2
 THRESHOLDS = (1, 2, 3, 5, 7, 9, 11, 13, 15, 17, 20, 24)
 PASSAGES = (0.01, 0.05)  # widths of channel 2 at which returns are counted
@@ -72,7 +72,7 @@ class Runs:
     """Runs in a study's folder; all their times are multiples of `duration`."""
 
     def __init__(self, work: study.Study, replicas: int, duration: float) -> None:
-        """Keep where, how many, how long."""
+        """Store the study, the number of replicas and the duration."""
         self.work, self.replicas, self.duration = work, replicas, duration
 
     def run(self, name: str, **groups: dict[str, object]) -> Path:
@@ -101,7 +101,7 @@ class Runs:
         return rows
 
     def returns(self, shape: str) -> Rows:
-        """Return how often a particle leaves through channel 2, through which it came."""
+        """Return how often a particle leaves through channel 2 after entering through it."""
         rows = []
         for width in PASSAGES:
             made = self.run(
@@ -110,10 +110,10 @@ class Runs:
                 particles={"number": MANY}, gate={"threshold": MANY},
                 run={"duration": 4.0 * self.duration}, output={"event_log": True},
             )  # fmt: skip
-            told = event_log.stories(event_log.read_log(made))
-            share, stay = (mean_of_groups(one) for one in event_log.after_channel2(told))
+            events = event_log.particle_events(event_log.read_log(made))
+            share, stay = (mean_of_groups(one) for one in event_log.after_channel2(events))
             chance = width / (width + 0.3)
-            count = int(np.count_nonzero((told.kind == CROSSING2) & (told.after >= 0)))
+            count = int(np.count_nonzero((events.kind == CROSSING2) & (events.after >= 0)))
             rows.append({
                 "channel2_width": width, "visits": count, "chance": chance,
                 "return": share[0], "return_error": share[1], "stay": stay[0],
@@ -128,7 +128,7 @@ class Runs:
             f"directions {shape}", table={"shape": "urn", **tables(0.0)[shape]},
             gate={"threshold": NUMBER}, run={"duration": duration}, output={"event_log": True},
         )  # fmt: skip
-        seen = event_log.entries_of(event_log.stories(event_log.read_log(made)))
+        seen = event_log.entries_of(event_log.particle_events(event_log.read_log(made)))
         values = event_log.autocorrelations(*seen, np.array(LAGS), 0.5 * duration)
         rows = []
         for lag, column in zip(LAGS, values.T, strict=True):
@@ -154,9 +154,9 @@ def well_mixed(work: study.Study) -> Rows:
     """Return chi and current of well mixed urns of this area behind renewal gates, over T."""
     rows = []
     for threshold in range(THRESHOLDS[0], THRESHOLDS[-1] + 1):
-        said = work.theory("renewal", number=NUMBER, threshold=threshold, channel2_width=WIDTH,
-                           occupation=True)  # fmt: skip
-        stable = [root for root in said["roots"] if root["kind"] == "stable"]
+        theory = work.theory("renewal", number=NUMBER, threshold=threshold, channel2_width=WIDTH,
+                             occupation=True)  # fmt: skip
+        stable = [root for root in theory["roots"] if root["kind"] == "stable"]
         state = stable[-1] if stable else {"mass_spread": 0.0, "net_current": 0.0}
         rows.append({
             "threshold": threshold, "chi": state["mass_spread"],
@@ -230,7 +230,7 @@ def write_tables(work: study.Study, found: Found) -> None:
 
 
 def run(work: study.Study) -> None:
-    """Make the runs; keep numbers, write tables, draw `shapes`."""
+    """Make the runs; store numbers, write tables, draw `shapes`."""
     found = measure(work, int(work.pick(2, 8)), 2000.0)
     work.keep("shapes", found)
     write_tables(work, found)

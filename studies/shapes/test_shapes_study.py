@@ -1,4 +1,4 @@
-"""Experiments of other urns: shapes that compare, what a square keeps, the picture."""
+"""Experiments with other urns: comparable shapes, directions in a square, the picture."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from postproc.study import Study
-from studies.event_log import Circuit, entries_of, read_log, stories
+from studies.event_log import Circuit, entries_of, particle_events, read_log
 from studies.shapes import study as shapes
 
 if TYPE_CHECKING:
@@ -46,7 +46,7 @@ def test_crooked_hexagon_is_convex_with_irrational_angles() -> None:
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, shapes.Found]:
-    """Make tiny runs of all kinds; give their folder and what was found."""
+    """Make tiny runs of all kinds; return their folder and results."""
     folder = tmp_path_factory.mktemp("shapes")
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(shapes, "THRESHOLDS", (7,))
@@ -61,7 +61,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, shapes.Found]:
 def cosines(folder: Path, shape: str) -> tuple[np.ndarray, np.ndarray]:
     """Return particle and cos(theta) of entries of the run that follows directions."""
     path = folder / f"directions_{shape.replace(' ', '_')}.h5"
-    _, particle, cosine = entries_of(stories(read_log(path)))
+    _, particle, cosine = entries_of(particle_events(read_log(path)))
     return particle, cosine
 
 

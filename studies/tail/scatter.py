@@ -1,4 +1,4 @@
-"""How averages of runs of one length scatter, and how long a run must be for a goal."""
+"""Scatter of averages of runs of one length, and the length of a run for an accuracy."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ if TYPE_CHECKING:
 
     Floats = NDArray[np.float64]
 
-GOAL = 0.01  # relative accuracy that is asked for
-REDRAWN = 400  # sets of runs that errors of a scatter are taken from
+GOAL = 0.01  # required relative accuracy
+REDRAWN = 400  # bootstrap samples for errors of a scatter
 
 
 def scatter(values: Floats) -> dict[str, float]:
-    """Return how the currents of runs of one length scatter."""
+    """Return measures of the scatter of currents of runs of one length."""
     low, middle, high = np.quantile(values, [0.16, 0.5, 0.84])
     mean = values.mean()
     return {
@@ -30,8 +30,8 @@ def scatter(values: Floats) -> dict[str, float]:
 def scatter_with_error(runs: Floats) -> dict[str, float]:
     """Return `scatter` of windows of several runs, shape (run, window), with its errors.
 
-    Windows of one run are not independent, since circulations outlast them: the errors are those of
-    whole runs drawn again and again.
+    Windows of one run are not independent, since circulations are longer: the errors are from
+    bootstrap samples of whole runs.
     """
     random = np.random.default_rng(5)
     drawn = [runs[random.integers(0, len(runs), len(runs))] for _ in range(REDRAWN)]
@@ -44,7 +44,7 @@ def scatter_with_error(runs: Floats) -> dict[str, float]:
 
 
 def length_for_goal(times: Floats, widths: Floats, mean: float) -> float:
-    """Return the time from which on the widths stay below the goal.
+    """Return the time above which the widths are below the goal.
 
     Between two lengths on a log-log line; beyond the longest as the square root of time, which
     holds once even the longest circulations are over.

@@ -1,8 +1,8 @@
-"""The tail of the net current: who carries it, how it scatters, how long a run must be.
+"""The tail of the net current: its parts, its scatter, and the required length of a run.
 
-Runs are made in build/tail/quick (minutes of one core), or full, and not repeated where they are
-complete. Numbers go to tail.json, the picture to tail.png. What circulations are, and how they are
-told from the rest: studies/circulations.py.
+Runs are made in build/tail/quick (minutes of one core), or full, and not repeated if they are
+complete. Writes numbers to tail.json, the picture to tail.png. For the definition of circulations
+see studies/circulations.py.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import postproc
 from postproc import study
 from postproc.figures import style
 from studies.circulations import ROUNDS, TRANSIENT, circulations, straight_time, urn_numbers
-from studies.event_log import ENTRY, circuit_of, read_log, stories
+from studies.event_log import ENTRY, circuit_of, particle_events, read_log
 from studies.tail.scatter import GOAL, length_for_goal, scatter_with_error
 
 if TYPE_CHECKING:
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from numpy.typing import NDArray
 
-    from studies.event_log import Circuit, Stories
+    from studies.event_log import Circuit, ParticleEvents
 
     Floats = NDArray[np.float64]
     Integers = NDArray[np.int64]
@@ -35,34 +35,35 @@ PAPER_RUN = 1e8  # collisions of a run of the paper
 FIT = (2, 128)  # rounds between which the law of circulations is fitted
 
 
-def fed_by_gate(told: Stories, found: Integers, least: int = 8) -> tuple[int, int]:
-    """Return how many circulations began with a reversal in gate 2, and how many there are.
+def fed_by_gate(events: ParticleEvents, found: Integers, least: int = 8) -> tuple[int, int]:
+    """Return the number of circulations that began with a reversal in gate 2, and of all.
 
-    Counted are those of `least` rounds and more. `found` are the rounds of every event of `told`,
-    0 of those that are no straight passage.
+    Circulations of `least` rounds and more are counted. `found` has the rounds of every event of
+    `events`, 0 if it is not a straight passage.
     """
     begun, total = 0, 0
-    for place in np.flatnonzero((found == least) & (told.where == 21)):
+    for place in np.flatnonzero((found == least) & (events.where == 21)):
         at = place
         for _ in range(least):  # from the last passage to the one before the first straight one
-            at = told.before[told.before[told.before[at]]]
+            at = events.before[events.before[events.before[at]]]
             if at < 0:
                 break
         total += 1
-        origin = told.before[at] if at >= 0 else -1
-        begun += origin >= 0 and bool(np.isfinite(told.turned[origin])) and told.where[origin] == 2
+        origin = events.before[at] if at >= 0 else -1
+        reversed_here = origin >= 0 and bool(np.isfinite(events.turned[origin]))
+        begun += reversed_here and events.where[origin] == 2
     return begun, total
 
 
 def in_windows(time: Floats, weight: Floats, length: float, end: float) -> Floats:
-    """Return sums of `weight` per unit time over the whole windows between transient and end."""
+    """Return sums of `weight` per unit time in the complete windows between transient and end."""
     count = int((end - TRANSIENT) / length)
     edges = TRANSIENT + length * np.arange(count + 1)
     return np.histogram(time, edges, weights=np.asarray(weight, float))[0] / length
 
 
 def _ensemble(work: study.Study) -> dict[str, object]:
-    """Return how the net current of long runs, and of windows cut from them, scatters."""
+    """Return the scatter of the net current of long runs, and of windows of them."""
     changes = {
         "run": {"duration": work.pick(1.0e6, 8.0e6)},
         "scan": {"replicas": int(work.pick(24, 64))},
@@ -71,7 +72,7 @@ def _ensemble(work: study.Study) -> dict[str, object]:
     data, series = postproc.open_results(path), postproc.open_results(path, group="series")
     net = (series.flow1_12 - series.flow1_21).to_numpy()
     net = net[:, series.time.to_numpy() > TRANSIENT + 0.5 * interval]
-    net = net[:, ~np.isnan(net).any(axis=0)]  # rounding may cost a run its last entry
+    net = net[:, ~np.isnan(net).any(axis=0)]  # the last entry of a run may be missing by rounding
     end = float(data.time.min())
     per_time = float((data.collisions / data.time).mean())
     whole = np.abs(data.current1.to_numpy())
@@ -99,7 +100,7 @@ def _ensemble(work: study.Study) -> dict[str, object]:
 
 
 def _split(work: study.Study) -> dict[str, object]:
-    """Return who carries the current, from event logs."""
+    """Return the parts of the current, from event logs."""
     logs, end = int(work.pick(6, 48)), work.pick(1.0e5, 2.0e5)
     duration = end - TRANSIENT
     found, parts, entries1, turned1, fed, circuit = [], [], 0, 0, np.zeros(2, int), None
@@ -109,18 +110,18 @@ def _split(work: study.Study) -> dict[str, object]:
         data, log = postproc.open_results(path), read_log(path)
         circuit = circuit_of(data)
         start = int(data.number) - int(data.urn1_number)
-        told = stories(log)
-        one = circulations(told, circuit)
+        events = particle_events(log)
+        one = circulations(events, circuit)
         straight, down = one.rounds > 0, one.sign > 0
-        gate1 = (told.kind == ENTRY) & (told.where == 1)
+        gate1 = (events.kind == ENTRY) & (events.where == 1)
         entries1 += np.count_nonzero(gate1)
-        turned1 += np.count_nonzero(np.isfinite(told.turned[gate1]))
-        fed += fed_by_gate(told, one.all_rounds)
+        turned1 += np.count_nonzero(np.isfinite(events.turned[gate1]))
+        fed += fed_by_gate(events, one.all_rounds)
         found.append(one)
         ways = [one.sign[straight].sum(), one.sign[~straight].sum(), down.sum(),
                 (down & ~straight).sum(), (~down).sum()]  # fmt: skip
         parts.append(
-            [*urn_numbers(log, told, circuit, start, end), *(way / duration for way in ways)]
+            [*urn_numbers(log, events, circuit, start, end), *(way / duration for way in ways)]
         )
     sparse, inside, straight, rest, down, down_rest, up = np.array(parts).T
     each = circuit.channel2_width / (math.pi * circuit.urn_area)  # sent by a well mixed urn
@@ -168,7 +169,7 @@ def _mean(values: Floats) -> dict[str, float]:
 
 
 def _zigzag(circuit: Circuit) -> float:
-    """Return the slope of the orbit that meets the wall of channel 1 once, at its middle."""
+    """Return the slope of the orbit that hits the wall of channel 1 once, at its middle."""
     across = 2.0 * straight_time(circuit) - circuit.channel2_length
     return circuit.channel1_width / across
 
@@ -262,7 +263,7 @@ def _draw_widths(axes: Axes, ensemble: dict, split: dict) -> None:
 
 
 def run(work: study.Study) -> None:
-    """Run the ensemble and the logs, draw `tail`, keep the numbers."""
+    """Run the ensemble and the logs, draw `tail`, store the numbers."""
     numbers = {"ensemble": _ensemble(work), "split": _split(work)}
     work.keep("tail", numbers)
     work.draw(figure_tail(**numbers), "tail")

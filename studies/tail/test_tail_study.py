@@ -1,4 +1,4 @@
-"""The tail of currents: circulations told from the rest, and how long a run must be."""
+"""The tail of currents: recognition of circulations, and the required length of a run."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import pytest
 import postproc
 from postproc.study import Study
 from studies import circulations
-from studies.event_log import Circuit, Log, circuit_of, read_log, stories
+from studies.event_log import Circuit, Log, circuit_of, particle_events, read_log
 from studies.tail import scatter
 from studies.tail import study as tail
 
@@ -32,7 +32,7 @@ def _round(start: float, flight: float) -> list[tuple[float, int, int, int]]:
 def _found(events: list[tuple[float, int, int, int]]) -> circulations.Circulations:
     time, kind, where, particle = np.array(events, float).T
     log = Log(time, *(column.astype(int) for column in (kind, where, particle)))
-    return circulations.circulations(stories(log), CIRCUIT)
+    return circulations.circulations(particle_events(log), CIRCUIT)
 
 
 def test_rounds_are_counted_until_a_bounce_in_an_urn() -> None:
@@ -42,7 +42,7 @@ def test_rounds_are_counted_until_a_bounce_in_an_urn() -> None:
     assert found.rounds.tolist() == [1, 2, 3]
     assert found.sign.tolist() == [1, 1, 1]
     assert found.slope == pytest.approx(0.0, abs=1e-5)
-    late = _round(LATE + 6.0 * flight + 1.0, flight)  # a detour on the way to channel 1
+    late = _round(LATE + 6.0 * flight + 1.0, flight)  # a longer path to channel 1
     assert _found(events + late).rounds.tolist() == [1, 2, 3, 1]
 
 
@@ -57,7 +57,7 @@ def test_passage_after_a_detour_is_no_circulation() -> None:
 @pytest.mark.parametrize("slope", [0.0, None])
 def test_program_keeps_a_particle_on_a_closed_orbit(tmp_path: Path, slope: float | None) -> None:
     slope = tail._zigzag(CIRCUIT) if slope is None else slope
-    # from the middle of channel 1 to the right, at the wall if it is to be met there
+    # from the middle of channel 1 to the right, at the wall if the orbit hits it there
     height = 0.149999999 if slope else 0.0
     (tmp_path / "one.txt").write_text(f"1e-12 {height} 1 {-slope!r}\n")
     changes = {
@@ -67,7 +67,7 @@ def test_program_keeps_a_particle_on_a_closed_orbit(tmp_path: Path, slope: float
     }
     path = Study(tmp_path, HERE).run("events", "one", changes, alone=True)
     circuit = circuit_of(postproc.open_results(path))
-    found = circulations.circulations(stories(read_log(path)), circuit)
+    found = circulations.circulations(particle_events(read_log(path)), circuit)
     assert found.rounds.size > 10
     assert (np.diff(found.rounds) == 1).all()
     assert found.rounds[-1] > 150
@@ -83,10 +83,10 @@ def test_number_inside_an_urn_is_its_share_of_a_free_circuit(tmp_path: Path) -> 
     }
     path = Study(tmp_path, HERE).run("events", "free", changes, alone=True)
     log, circuit = read_log(path), circuit_of(postproc.open_results(path))
-    both = circulations.urn_numbers(log, stories(log), circuit, 100, end)
+    both = circulations.urn_numbers(log, particle_events(log), circuit, 100, end)
     area = circuit.urn_area
     expected = number * area / (2.0 * area + 0.3 + 0.01)
-    # variance N/4, remembered for pi A/(w + w') / 2 on either side of a moment
+    # variance N/4, with the correlation time pi A/(w + w') / 2
     memory = math.pi * area / 0.31
     for inside in both:
         assert inside == pytest.approx(expected, abs=5.0 * math.sqrt(0.25 * number * memory / 2e4))
@@ -98,7 +98,7 @@ def test_numbers_inside_follow_the_crossings() -> None:
     time, kind, where, particle = np.array(events).T
     log = Log(time, *(column.astype(int) for column in (kind, where, particle)))
     one = Circuit(1)
-    first, second = circulations.urn_numbers(log, stories(log), one, 0, begin + 100.0)
+    first, second = circulations.urn_numbers(log, particle_events(log), one, 0, begin + 100.0)
     in_channel2 = 0.25 * math.pi / 100.0
     assert first == pytest.approx(0.25 - in_channel2)
     assert second == pytest.approx(0.75 - in_channel2 - 0.4 / 100.0)  # 0.2 in, and 0.2 out
@@ -133,18 +133,19 @@ def test_circulation_that_began_with_a_reversal_is_found() -> None:
     entry1 = (LATE + 2.0 * flight - 0.5, 1, 1, 1)
     for before, expected in (
         ([(begin, 1, 2, 1), reversal], (1, 1)),
-        ([(begin, 3, 12, 1)], (0, 1)),  # a detour on the way
+        ([(begin, 3, 12, 1)], (0, 1)),  # a longer path
     ):
         events = np.array([*before, passage, entry1, *rounds], float).T
-        told = stories(Log(events[0], *(column.astype(int) for column in events[1:])))
-        found = circulations.circulations(told, CIRCUIT)
+        log = Log(events[0], *(column.astype(int) for column in events[1:]))
+        by_particle = particle_events(log)
+        found = circulations.circulations(by_particle, CIRCUIT)
         assert found.rounds.max() == 8
-        assert tail.fed_by_gate(told, found.all_rounds) == expected
+        assert tail.fed_by_gate(by_particle, found.all_rounds) == expected
 
 
 def test_errors_of_a_scatter_are_those_of_whole_runs() -> None:
     random = np.random.default_rng(8)
-    runs = random.normal(1.0, 0.1, (30, 1)) + np.zeros((30, 40))  # windows that say the same
+    runs = random.normal(1.0, 0.1, (30, 1)) + np.zeros((30, 40))  # equal windows
     found = scatter.scatter_with_error(runs)
     assert found["deviation"] == pytest.approx(runs[:, 0].std(), rel=0.02)
     assert found["deviation_error"] == pytest.approx(found["deviation"] / math.sqrt(58.0), rel=0.4)
@@ -154,5 +155,5 @@ def test_errors_of_a_scatter_are_those_of_whole_runs() -> None:
 
 
 def test_area_of_an_urn_is_that_of_the_theory() -> None:
-    said = Study(Path()).theory("window", number=10, threshold=1, channel2_width=0.2)
-    assert Circuit(channel2_width=0.2).urn_area == pytest.approx(said["urn_area"], rel=1e-12)
+    theory = Study(Path()).theory("window", number=10, threshold=1, channel2_width=0.2)
+    assert Circuit(channel2_width=0.2).urn_area == pytest.approx(theory["urn_area"], rel=1e-12)

@@ -1,8 +1,8 @@
 """Error of a trajectory against its cost: every engine, every precision, steps over five decades.
 
-All start from the same file and are held against the engine `collision` in quadruple precision.
-Two paths that begin a rounding apart separate as exp(lambda t); lambda is measured from the errors
-and, independently, from the tangent map of the free billiard.
+All start from the same file and are compared with the engine `collision` in quadruple precision.
+Two paths that differ by a rounding error separate as exp(lambda t); lambda is measured from the
+errors and, independently, from the tangent map of the free billiard.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ STEPS = {
 }
 ORDER_STEPS = (3e-5, 3e-3)  # the order is fitted between these
 REFERENCE = ("collision", "real128")
-ASTRAY = 0.1  # farther than this from where it should be, a particle has taken another way
+ASTRAY = 0.1  # distance above which a particle is on another path
 WIDTH1, WIDTH2 = 0.3, 0.01
 AROUND = 2.0 * (1.0 + math.sqrt(1.0 - WIDTH1**2 / 4) + math.sqrt(1.0 - WIDTH2**2 / 4))  # length
 
@@ -61,7 +61,7 @@ class Case:
     step: float = 0.0
 
     def question(self) -> Question:
-        """Return what the probe is asked."""
+        """Return the question to the probe."""
         times = STEP_TIMES if self.step else TIMES
         step = f"-{self.step:.0e}" if self.step else ""
         return Question(
@@ -105,14 +105,14 @@ def places(answer: Answer) -> dict[float, list[list[Decimal]]]:
 
 
 def distances(found: list[list[Decimal]], truth: list[list[Decimal]]) -> Floats:
-    """Return how far each particle is from where it should be, round the circuit or straight."""
+    """Return the distance of each particle from the reference, with the period of the circuit."""
     across = [float(abs(a - b)) for a, b in zip(found[0], truth[0], strict=True)]
     up = [float(a - b) for a, b in zip(found[1], truth[1], strict=True)]
     return np.hypot([min(value, abs(AROUND - value)) for value in across], up)
 
 
 def event_errors(answer: Answer, truth: Answer, until: float) -> tuple[Floats, float]:
-    """Return errors of event times, as long as a particle has the right events, and their share.
+    """Return errors of event times as long as a particle has the right events, and their share.
 
     A gate's reversals are left out: they belong to no particle.
     """
@@ -143,7 +143,7 @@ def measure(case: Case, answer: Answer, truth: Answer) -> dict[str, Any]:
     head = next(one for one in answer if "engine" in one)
     errors = {time: distances(here[time], there[time]) for time in here}
     events, share = event_errors(answer, truth, COMPARED)
-    floor = EPSILON[case.precision] * 1e-6  # for logarithms of what agrees to the last digit
+    floor = EPSILON[case.precision] * 1e-6  # for logarithms of differences that are 0
     return {
         "gate": case.gate, "engine": case.engine, "precision": case.precision, "step": case.step,
         "seconds_per_particle_time": float(head["seconds_per_particle_time"]),
@@ -159,14 +159,14 @@ def measure(case: Case, answer: Answer, truth: Answer) -> dict[str, Any]:
 
 
 def fit_growth(row: dict[str, Any]) -> float:
-    """Return lambda from the mean logarithm of the error, while hardly anybody is astray."""
+    """Return lambda from the mean logarithm of the error, while hardly any particle is astray."""
     time, mean, astray = (np.array(row[name]) for name in ("time", "mean_log", "astray"))
     use = (time >= 30) & (astray < 0.06)
     return float(np.polyfit(time[use], mean[use], 1)[0]) if use.sum() > 2 else math.nan
 
 
 def horizon(row: dict[str, Any]) -> float:
-    """Return when the median error passes `ASTRAY`; NaN if it does not."""
+    """Return the time at which the median error exceeds `ASTRAY`; NaN if it does not."""
     time, median = np.array(row["time"], float), np.array(row["median"])
     past = np.flatnonzero(median > ASTRAY)
     if past.size == 0 or past[0] == 0:
@@ -178,7 +178,7 @@ def horizon(row: dict[str, Any]) -> float:
 
 
 def orders(rows: Sequence[dict[str, Any]], gate: str, precision: str) -> dict[str, float]:
-    """Return the orders of `timestep`: of places, of event times, and of the share astray."""
+    """Return the orders of `timestep`: of positions, event times, and the share astray."""
     mine = [row for row in rows if row["engine"] == "timestep" and row["gate"] == gate
             and row["precision"] == precision
             and ORDER_STEPS[0] <= row["step"] <= ORDER_STEPS[1]]  # fmt: skip
@@ -222,7 +222,7 @@ def _cost_panel(axes: Axes, rows: Sequence[dict[str, Any]], gate: str, what: str
 
 
 def figure_cost(rows: Sequence[dict[str, Any]]) -> Figure:
-    """Draw error against cost: places and event times, free and gated."""
+    """Draw error against cost: positions and event times, free and gated."""
     made = style.figure(style.PAGE, 5.4)
     panels = made.subplots(2, 2, sharex=True, sharey=True)
     for line, gate in zip(panels, GATES, strict=True):
@@ -243,10 +243,10 @@ def figure_cost(rows: Sequence[dict[str, Any]]) -> Figure:
 
 
 def figure_growth(rows: Sequence[dict[str, Any]], rate: float, found: dict[str, Any]) -> Figure:
-    """Draw how errors grow in time, and how those of `timestep` shrink with the step.
+    """Draw the growth of errors in time, and the errors of `timestep` against the step.
 
-    Lines have the rates of the tangent map: of many particles for long, and of those that fly here
-    for as long as they do, which is what their errors follow.
+    Lines have the rates of the tangent map: of many particles for a long time, and of these
+    particles for this time, which their errors follow.
     """
     rates = {rate: (":", "all"), found["lyapunov_same_start"]: ("-.", "these particles")}
     made = style.figure(style.PAGE, 3.8)

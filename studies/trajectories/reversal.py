@@ -1,7 +1,8 @@
-"""Free circuit with all velocities turned at the time t: how far from its start who comes back is.
+"""Free circuit with all velocities reversed at the time t: distance from the start after 2t.
 
-Where nothing is rounded all return exactly. A rounding made at the turn grows as exp(lambda t) on
-the way back, so in a precision eps all is forgotten after ln(1/eps)/lambda: 36.7/lambda in double.
+Without rounding all particles return exactly. A rounding error at the reversal grows as exp(lambda
+t) on the way back, so in a precision eps the start is lost after ln(1/eps)/lambda: 36.7/lambda in
+double.
 """
 
 from __future__ import annotations
@@ -38,7 +39,7 @@ STEP, STEP_TIMES = 1e-3, (1, 2, 5, 10, 20, 30, 40, 50, 60)
 
 
 def questions() -> list[Question]:
-    """Return what the probe is asked: both exact engines in all precisions, and a fixed step."""
+    """Return the questions: both exact engines in all precisions, and a fixed step."""
     made = [
         Question(f"reversal-{engine}-{precision}", precision,
                  ("reversal", engine, "0", "start.txt", str(NUMBER), *map(str, TIMES)))
@@ -61,7 +62,7 @@ def measure(answer: list[dict[str, Any]]) -> dict[str, Any]:
 
 
 def figure_return(rows: Sequence[dict[str, Any]], rate: float) -> Figure:
-    """Draw the median distance from the start against the time of the turn."""
+    """Draw the median distance from the start against the time of the reversal."""
     made = style.figure(style.PAGE * 0.75, 3.4)
     axes = made.subplots()
     for row in rows:
@@ -83,7 +84,7 @@ def figure_return(rows: Sequence[dict[str, Any]], rate: float) -> Figure:
 
 
 def table(work: study.Study, numbers: dict[str, Any]) -> None:
-    """Write when half of the particles are astray, predicted and found."""
+    """Write the times at which half of the particles are astray, predicted and measured."""
     rows = []
     for name, time in numbers["horizon"].items():
         engine, precision = name.split()
@@ -93,7 +94,7 @@ def table(work: study.Study, numbers: dict[str, Any]) -> None:
 
 
 def run(work: study.Study) -> None:
-    """Go there and back; keep the numbers, draw `reversal`."""
+    """Run forwards and back; store the numbers, draw `reversal`."""
     work.folder.mkdir(parents=True, exist_ok=True)
     (work.folder / "start.txt").write_text(start_file(NUMBER), encoding="utf-8")
     lyapunov = Question(

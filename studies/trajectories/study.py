@@ -1,7 +1,7 @@
-"""Errors of single trajectories: against their cost, growing in time, and there and back.
+"""Errors of single trajectories: against cost, against time, and after time reversal.
 
-The probes (make probes) are asked in single, double and quadruple precision, into
-build/trajectories/quick, or full (minutes); an answer that is there is not asked for again.
+The probes (make probes) run in single, double and quadruple precision, into
+build/trajectories/quick, or full (minutes); existing answers are not computed again.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from studies.trajectories import growth, reversal
 
 
 def run(work: study.Study) -> None:
-    """Follow particles in every engine and precision, then there and back."""
+    """Run particles in every engine and precision, then forwards and back."""
     growth.run(work)
     reversal.run(work)
 

@@ -1,4 +1,4 @@
-"""Errors of trajectories: exact engines to their precision, growth, horizons, there and back."""
+"""Errors of trajectories: exact engines to their precision, growth, horizons, time reversal."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def places(
 @pytest.mark.full
 def test_exact_engines_agree_to_their_precision(work: Study, engine: str) -> None:
     truth = places(work, "real128", "collision", threshold=2)
-    # gates share errors out among those they turn back, so it is the median that is held
+    # gates pass errors on to all particles that they reverse, so the median is compared
     for precision, least, most in (("real32", 1e-9, 1e-4), ("real64", 1e-18, 1e-13)):
         errors = growth.distances(places(work, precision, engine, threshold=2), truth)
         assert least < np.median(errors) < most

@@ -1,8 +1,8 @@
-"""Where each model fails on the map of T and w': tables and picture of the page beside.
+"""Errors of each model on the map of T and w': tables and picture of the page in this folder.
 
-Runs map.nml beside it and the same map by engines that are models, and asks the theories at each
-point. Quick: three thresholds, runs of a tenth. --full: some twenty minutes of a core. The table
-is published where `postproc.advise` reads it.
+Runs map.nml of this folder and the same map by engines that are models, and computes the theories
+at each point. Quick: three thresholds, runs of a tenth of the length. --full: about twenty minutes
+of a core. The table is published where `postproc.advise` reads it.
 """
 
 from __future__ import annotations
@@ -26,12 +26,12 @@ if TYPE_CHECKING:
 
     from matplotlib.figure import Figure
 
-POLARISED = 0.3  # chi from which on a state is called so
+POLARISED = 0.3  # chi above which a state is called so
 BOUNDS = (0.01, 0.03, 0.1)
 COLOURS = ("tab:green", "gold", "tab:orange", "tab:red")
 THEORIES = [*MODELS]
 QUICK = (4, 10, 16)  # thresholds of quick runs
-# what the map of an engine is changed to: a fixed step costs a hundred times as much
+# changes of the map for an engine: a fixed step costs a hundred times as much
 COARSE = {"threshold": [4, 6, 8, 10, 12, 14, 16], "replicas": 1}
 LENGTHS = {
     "reservoir": ({}, {"replicas": 4}),
@@ -58,7 +58,7 @@ def run_map(work: study.Study, engine: str | None = None) -> Path:
 
 
 def of_runs(file: Path) -> tuple[Points, Points]:
-    """Return chi and current over chi by (T, w'), and the standard error of either."""
+    """Return chi and current over chi by (T, w'), and the standard errors of both."""
     data, means, errors = postproc.open_results(file), {}, {}
     for threshold in data.threshold.to_numpy():
         for width in data.channel2_width.to_numpy():
@@ -74,14 +74,14 @@ def of_runs(file: Path) -> tuple[Points, Points]:
     return means, errors
 
 
-def asked(work: study.Study, model: str, points: list[tuple[int, float]]) -> Points:
-    """Return what a theory says; what it said before of the same points is kept."""
+def theory_at(work: study.Study, model: str, points: list[tuple[int, float]]) -> Points:
+    """Return a theory's results at points; earlier results at the same points are used."""
     before = work.kept(f"theory_{model}")
     if before is None or work.afresh or before["points"] != [list(one) for one in points]:
-        said = of_theory(model, points)
-        before = {"points": [list(one) for one in points], "said": [*said.values()]}
+        found = of_theory(model, points)
+        before = {"points": [list(one) for one in points], "said": [*found.values()]}
         work.keep(f"theory_{model}", before)
-        return said
+        return found
     return {at: (chi, math.nan if share is None else share)
             for at, (chi, share) in zip(points, before["said"], strict=True)}  # fmt: skip
 
@@ -104,10 +104,12 @@ def transition(means: Points, width: float) -> float:
     return ladder.transition(thresholds, [means[one, width][0] for one in thresholds])
 
 
-def rows_of(truth: Points, errors: Points, said: dict[str, Points]) -> list[dict[str, float | str]]:
-    """Return a row for each model and point that it has an answer of."""
+def rows_of(
+    truth: Points, errors: Points, answers: dict[str, Points]
+) -> list[dict[str, float | str]]:
+    """Return a row for each model and point with a result of the model."""
     found = []
-    for model, theirs in said.items():
+    for model, theirs in answers.items():
         for at, (chi, share) in theirs.items():
             spread, conductance = truth[at]
             both = spread > POLARISED and chi > POLARISED
@@ -125,12 +127,12 @@ def rows_of(truth: Points, errors: Points, said: dict[str, Points]) -> list[dict
 
 
 def colour(off: float) -> str:
-    """Return the colour of an error; NaN: the last, for what is beyond the map."""
+    """Return the colour of an error; NaN: the last one, for errors beyond the scale."""
     return COLOURS[int(np.searchsorted(BOUNDS, abs(off)))] if math.isfinite(off) else COLOURS[-1]
 
 
 def figure(rows: list[dict[str, float | str]]) -> Figure:
-    """Return a panel for each model and quantity; a cross is where model and runs differ."""
+    """Return a panel for each model and quantity; a cross: model and runs have different phases."""
     models = list(dict.fromkeys(row["model"] for row in rows))
     made = style.figure(1.55 * len(models), 8.0)
     panels = made.subplots(3, len(models), sharex=True, sharey=True)
@@ -172,7 +174,7 @@ def figure(rows: list[dict[str, float | str]]) -> Figure:
 
 
 def table(rows: list[dict[str, float | str]]) -> list[str]:
-    """Return lines of a table: at how many points each model is within the bounds."""
+    """Return lines of a table: number of points at which each model is within the bounds."""
     lines = []
     for model in dict.fromkeys(row["model"] for row in rows):
         own = [row for row in rows if row["model"] == model]
@@ -189,11 +191,11 @@ def table(rows: list[dict[str, float | str]]) -> list[str]:
 
 
 def run(work: study.Study) -> None:
-    """Make the table and the picture of the page; print how many points are within bounds."""
+    """Make the table and the picture of the page; print the numbers of points within bounds."""
     truth, errors = of_runs(run_map(work))
-    said = {name: asked(work, name, [*truth]) for name in THEORIES}
-    said |= {name: of_runs(run_map(work, name))[0] for name in LENGTHS}
-    rows = rows_of(truth, errors, said)
+    answers = {name: theory_at(work, name, [*truth]) for name in THEORIES}
+    answers |= {name: of_runs(run_map(work, name))[0] for name in LENGTHS}
+    rows = rows_of(truth, errors, answers)
     beside_advice = replace(work, page=work.page and (TABLE.parent, ""))
     beside_advice.table("where_models_fail", list(rows[0]),
                         [[_text(one) for one in row.values()] for row in rows])  # fmt: skip

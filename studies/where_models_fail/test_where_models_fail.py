@@ -1,4 +1,4 @@
-"""The map of where models fail: every model of the product is on it."""
+"""The map of the errors of models: every model of the product is on it."""
 
 from __future__ import annotations
 

@@ -47,7 +47,7 @@ module funit_widest_real
   use funit_exceptions, only: SourceLocation, fail_with
   implicit none (type, external)
   private
-  !> Of 128 bits, or of 80 where a compiler has none of 128.
+  !> Kind of reals with 128 bits, or with 80 where a compiler has none with 128.
   integer, parameter :: rk = merge(real128, selected_real_kind(18), real128 > 0)
   include 'assert_real.inc'
 end module funit_widest_real

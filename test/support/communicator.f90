@@ -1,12 +1,12 @@
-!> The communicator of a test, whichever way pFUnit was built.
+!> Communicator of a test, as `mpi_f08` has it, however pFUnit was built.
 module test_communicator
   use mpi_f08, only: MPI_Comm
   implicit none (type, external)
   private
   public :: as_communicator
 
-  !> pFUnit gives an integer, or with its option for mpi_f08 what is wanted here: tests write
-  !> `as_communicator(this%getMpiCommunicator())`.
+  !> pFUnit returns an integer, or a communicator if it was built with its option for mpi_f08. Tests
+  !> write `as_communicator(this%getMpiCommunicator())`.
   interface as_communicator
     procedure from_integer, from_communicator
   end interface as_communicator

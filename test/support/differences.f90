@@ -1,6 +1,6 @@
-!> Where two things differ that should be the same, in words; empty where they do not.
+!> First difference of two objects that should be equal, in words; an empty text if they are equal.
 !>
-!> Numbers are compared bit by bit, but for the sign of a zero; what is not known equals itself.
+!> Numbers are compared bit by bit, except for the sign of a zero; a NaN equals a NaN.
 module differences
   use battery_kinds, only: wp, int64
   use battery_error, only: error_type
@@ -22,10 +22,10 @@ module differences
 
 contains
 
-  !> Of two rows of numbers, bit by bit or to a tolerance.
+  !> First difference of two arrays of rank 1, bit by bit or to a tolerance.
   pure function of_numbers(a, b, tolerance) result(text)
     real(wp), intent(in) :: a(:), b(:)
-    !> Absolute; absent: none.
+    !> Absolute tolerance; absent: bit by bit.
     real(wp), intent(in), optional :: tolerance
     character(len=:), allocatable :: text
     integer :: k
@@ -42,7 +42,7 @@ contains
     end do
   end function of_numbers
 
-  !> Of two planes of numbers, bit by bit.
+  !> First difference of two arrays of rank 2, bit by bit.
   pure function of_planes(a, b) result(text)
     real(wp), intent(in) :: a(:, :), b(:, :)
     character(len=:), allocatable :: text
@@ -50,7 +50,7 @@ contains
     text = of_numbers(pack(a, .true.), pack(b, .true.))
   end function of_planes
 
-  !> Of two counts.
+  !> Difference of two counts.
   pure function of_sizes(a, b, what) result(text)
     integer, intent(in) :: a, b
     character(len=*), intent(in) :: what
@@ -60,10 +60,10 @@ contains
     if (a /= b) text = to_text(a)//' and '//to_text(b)//' '//what
   end function of_sizes
 
-  !> Of two sets of particles.
+  !> First difference of two sets of particles.
   pure function of_particles(a, b, tolerance) result(text)
     type(particles_type), intent(in) :: a, b
-    !> Absolute, of all four numbers; absent: none.
+    !> Absolute tolerance of x, y, ux and uy; absent: bit by bit.
     real(wp), intent(in), optional :: tolerance
     character(len=:), allocatable :: text
 
@@ -73,7 +73,7 @@ contains
     if (text == '') text = named('uy', of_numbers(a%uy, b%uy, tolerance))
   end function of_particles
 
-  !> A difference with the name of what differs.
+  !> Puts the name of the compared quantity before a difference, if there is one.
   pure function named(name, difference) result(text)
     character(len=*), intent(in) :: name, difference
     character(len=:), allocatable :: text
@@ -82,8 +82,8 @@ contains
     if (text /= '') text = name//', '//difference
   end function named
 
-  !> Of the events of two logs: the same in the same order, at times that differ by no more than
-  !> `tolerance` times exp(rate t).
+  !> First difference of two logs, which should have the same events in the same order, at times t
+  !> that differ by at most `tolerance` times exp(rate t).
   pure function of_logs(a, b, tolerance, rate) result(text)
     type(log_type), intent(in) :: a, b
     real(wp), intent(in) :: tolerance, rate
@@ -100,7 +100,7 @@ contains
     text = of_sizes(a%events, b%events, 'events')
   end function of_logs
 
-  !> One event of a log.
+  !> Text that describes event k of a log.
   pure function event_text(log, k) result(text)
     type(log_type), intent(in) :: log
     integer, intent(in) :: k
@@ -110,7 +110,7 @@ contains
       //to_text(log%particle(k))//' at '//to_text(log%time(k))
   end function event_text
 
-  !> Of all that two observers know.
+  !> First difference of two observers, in all their components.
   pure function of_observers(a, b) result(text)
     type(observer_type), intent(in) :: a, b
     character(len=:), allocatable :: text
@@ -128,7 +128,7 @@ contains
       //to_text(b%time)//', entries '//to_text(a%entries)//' and '//to_text(b%entries)
   end function of_observers
 
-  !> Of the words of two states or records.
+  !> First difference of the words of two states or records.
   pure function of_words(a, b) result(text)
     integer(int64), intent(in) :: a(:), b(:)
     character(len=:), allocatable :: text
@@ -143,7 +143,7 @@ contains
     text = of_sizes(size(a), size(b), 'words')
   end function of_words
 
-  !> Of two simulations: where their particles are, what they count, and all that their states hold.
+  !> First difference of two simulations: particles, counts, and all components of their states.
   function of_simulations(a, b) result(text)
     type(simulation_type), intent(inout) :: a, b
     character(len=:), allocatable :: text

@@ -1,4 +1,4 @@
-!> Engines in tests: begun, run with a log of all that they tell, saved and restored.
+!> Starts engines in tests, runs them with a log of all events, saves and restores them.
 module engine_runs
   use battery_kinds, only: wp, int64
   use battery_table, only: table_type
@@ -9,28 +9,28 @@ module engine_runs
   use battery_archive, only: archive_type, new_archive, archive_of
   implicit none (type, external)
   private
-  public :: begin, log_type, run_for, totals_of, tally, make_room, note
+  public :: begin, log_type, run_for, totals_of, append_window, extend_log, append_event
   public :: save_engine, restore_engine
 
-  !> Events in the order of their happening, with their times since the start.
+  !> Events in chronological order, with their times since the start.
   type :: log_type
     integer :: events = 0
     real(wp), allocatable :: time(:)
     integer, allocatable :: kind(:), where(:), particle(:)
-    !> Time that has passed; windows; sum of what the histories tell.
+    !> Time simulated, number of windows, and sums over the event records of all windows.
     real(wp) :: elapsed = 0.0_wp
     integer :: windows = 0
     integer(int64) :: collisions = 0, reversals = 0, bounce_backs = 0
-    !> How many crossings of each kind.
+    !> Number of crossings of each kind.
     integer :: crossings(4) = 0
-    !> Integral of |N1 - N2| over time, and N1 as the crossings tell it.
+    !> Integral of |N1 - N2| over time, and N1 as it follows from the crossings.
     real(wp) :: spread = 0.0_wp
     integer :: first = 0
   end type log_type
 
 contains
 
-  !> An engine by its name, at the time 0; the particles are left as they are.
+  !> Creates an engine by its name and starts it at the time 0 with a copy of the particles.
   subroutine begin(name, table, threshold, particles, engine)
     character(len=*), intent(in) :: name
     type(table_type), intent(in) :: table
@@ -47,7 +47,8 @@ contains
     call engine%start(table, threshold, given, 0.0_wp)
   end subroutine begin
 
-  !> Lets the engine go on for `duration`, in windows not longer than `step`, and adds to the log.
+  !> Advances the engine by `duration`, in windows not longer than `step`, and appends them to the
+  !> log.
   subroutine run_for(engine, duration, log, step)
     class(engine_type), intent(inout) :: engine
     real(wp), intent(in) :: duration
@@ -56,20 +57,20 @@ contains
     type(event_record_type) :: event_record
     real(wp) :: rest, began
 
-    call make_room(log, 0)
+    call extend_log(log, 0)
     event_record%logging = .true.
     began = log%elapsed
     rest = duration
     do while (rest > 16.0_wp*epsilon(1.0_wp)*(began + duration))
       if (present(step)) rest = min(rest, step)
       call engine%advance(rest, event_record)
-      call tally(event_record, engine%number, log)
+      call append_window(event_record, engine%number, log)
       rest = duration - (log%elapsed - began)
     end do
   end subroutine run_for
 
-  !> Adds one window to the log.
-  subroutine tally(event_record, number, log)
+  !> Appends the events of one window to the log.
+  subroutine append_window(event_record, number, log)
     type(event_record_type), intent(in) :: event_record
     integer, intent(in) :: number
     type(log_type), intent(inout) :: log
@@ -95,7 +96,7 @@ contains
   contains
 
     subroutine append_events()
-      call make_room(log, log%events + n)
+      call extend_log(log, log%events + n)
       log%time(log%events + 1:log%events + n) = log%elapsed + event_record%event_time(:n)
       log%kind(log%events + 1:log%events + n) = event_record%event_kind(:n)
       log%where(log%events + 1:log%events + n) = event_record%event_where(:n)
@@ -103,10 +104,10 @@ contains
       log%events = log%events + n
     end subroutine append_events
 
-  end subroutine tally
+  end subroutine append_window
 
-  !> Makes the log, or makes it longer: room for so many events.
-  subroutine make_room(log, events)
+  !> Allocates the log, or extends it by so many events.
+  subroutine extend_log(log, events)
     type(log_type), intent(inout) :: log
     integer, intent(in) :: events
     integer :: more
@@ -120,33 +121,33 @@ contains
     log%kind = [log%kind, spread(0, 1, more)]
     log%where = [log%where, spread(0, 1, more)]
     log%particle = [log%particle, spread(0, 1, more)]
-  end subroutine make_room
+  end subroutine extend_log
 
-  !> Adds one event to the log.
-  subroutine note(log, time, kind, where, particle)
+  !> Appends one event to the log.
+  subroutine append_event(log, time, kind, where, particle)
     type(log_type), intent(inout) :: log
     real(wp), intent(in) :: time
     integer, intent(in) :: kind, where, particle
 
-    call make_room(log, log%events + 1)
+    call extend_log(log, log%events + 1)
     log%events = log%events + 1
     log%time(log%events) = time
     log%kind(log%events) = kind
     log%where(log%events) = where
     log%particle(log%events) = particle
-  end subroutine note
+  end subroutine append_event
 
-  !> What a run adds up to: wall collisions, reversals, turned back, crossings of each kind.
+  !> Totals of a run: wall collisions, reversals, particles reversed, crossings of each kind.
   pure function totals_of(log, collisions) result(totals)
     type(log_type), intent(in) :: log
-    !> As the engine counts them; the log tells of some before they happen.
+    !> Number as the engine counts it; the log includes future hits of visits computed already.
     integer(int64), intent(in) :: collisions
     real(wp) :: totals(7)
 
     totals = real([collisions, log%reversals, log%bounce_backs, int(log%crossings, int64)], wp)
   end function totals_of
 
-  !> The state of an engine, written and ready to be read.
+  !> Writes the state of an engine into an archive, which is then ready to be read.
   subroutine save_engine(engine, state)
     class(engine_type), intent(inout) :: engine
     type(archive_type), intent(out) :: state
@@ -156,7 +157,7 @@ contains
     state = archive_of(state%word(:state%length))
   end subroutine save_engine
 
-  !> An engine that goes on from a state; step and seed are set already.
+  !> Restores an engine from a state; its time step and seed have been set already.
   subroutine restore_engine(engine, table, threshold, state)
     class(engine_type), intent(inout) :: engine
     type(table_type), intent(in) :: table

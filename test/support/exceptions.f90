@@ -1,4 +1,4 @@
-!> What a failing assert leaves behind, for the stand-in of pFUnit: a message and where it was.
+!> Failures of asserts, for the substitute of pFUnit: each has a message and a source location.
 !>
 !> Names that tests or pFUnit's preprocessor write are spelt as pFUnit spells them.
 module funit_exceptions
@@ -24,7 +24,7 @@ module funit_exceptions
 
 contains
 
-  !> Adds a failure; the test goes on until it asks `anyExceptions`.
+  !> Adds a failure; the test continues until it calls `anyExceptions`.
   subroutine throw(message, location)
     character(len=*), intent(in) :: message
     type(SourceLocation), intent(in), optional :: location
@@ -40,7 +40,7 @@ contains
     call move_alloc(longer, pending)
   end subroutine throw
 
-  !> Throws what an assert found, after the test's own message if there is one.
+  !> Throws the finding of an assert, after the test's own message if there is one.
   subroutine fail_with(finding, message, location)
     character(len=*), intent(in) :: finding
     character(len=*), intent(in), optional :: message
@@ -58,7 +58,7 @@ contains
     any_pending = allocated(pending)
   end function anyExceptions
 
-  !> Hands over all failures, and leaves none.
+  !> Returns all failures and clears the list.
   subroutine take_exceptions(taken)
     type(exception_type), allocatable, intent(out) :: taken(:)
 
@@ -69,7 +69,7 @@ contains
     end if
   end subroutine take_exceptions
 
-  !> Whether two failures say the same about the same line.
+  !> Whether two failures have the same message and the same line.
   pure logical function same_exception(one, other) result(same)
     type(exception_type), intent(in) :: one, other
 

@@ -1,7 +1,7 @@
-!> A stand-in for the part of pFUnit's module `funit` that the project's tests use.
+!> Substitute for the part of pFUnit's module `funit` that the project's tests use.
 !>
 !> Tests are written for pFUnit 4 and run with it unchanged; where it is not installed, this module
-!> takes its place. Names are pFUnit's; so is the report, which one reader understands from both.
+!> replaces it. Names and the format of the report are those of pFUnit.
 module funit
   use, intrinsic :: iso_fortran_env, only: output_unit
   use funit_exceptions, only: SourceLocation, exception_type, anyExceptions, fail_with, &
@@ -39,7 +39,7 @@ module funit
     procedure :: gather
   end type SerialContext
 
-  !> One test, whatever it needs to run.
+  !> One test of any kind.
   type, abstract :: Test
     character(len=:), allocatable :: name
   contains
@@ -151,7 +151,7 @@ contains
     end do
   end subroutine add_suite
 
-  !> Hands all failures of a test to the root: one process has them already.
+  !> Gathers all failures of a test on the root process; a single process has them already.
   subroutine gather(this, failures)
     class(SerialContext), intent(in) :: this
     type(exception_type), allocatable, intent(out) :: failures(:)
@@ -166,14 +166,14 @@ contains
     call extra()
   end subroutine initialize
 
-  !> Runs what `load_tests` gives on this one process, and tells whether all passed.
+  !> Runs the tests of `load_tests` on this one process; returns whether all passed.
   logical function run(load_tests) result(passed)
     procedure(suite_loader) :: load_tests
 
     passed = run_in(load_tests, SerialContext())
   end function run
 
-  !> Runs what `load_tests` gives on the processes of `context`; the root reports.
+  !> Runs the tests of `load_tests` on the processes of `context`; the root process reports.
   logical function run_in(load_tests, context) result(passed)
     procedure(suite_loader) :: load_tests
     class(SerialContext), intent(in) :: context
@@ -192,7 +192,7 @@ contains
       ", Errors: 0, Disabled: 0"
   end function run_in
 
-  !> Runs one test and reports it at once: if the next one kills the program, this one is told.
+  !> Runs one test and reports it at once, so that it is reported even if the next test crashes.
   logical function passes(one, context)
     class(Test), intent(inout) :: one
     class(SerialContext), intent(in) :: context
@@ -224,7 +224,7 @@ contains
     if (.not. successful) stop 2
   end subroutine finalize
 
-  !> Nothing: for drivers that need no preparation of their own.
+  !> Does nothing; for drivers that need no preparation of their own.
   subroutine stub()
   end subroutine stub
 

@@ -1,4 +1,4 @@
-!> What the tests read back from HDF5: the program itself reads no dataset.
+!> Reads datasets and attributes of HDF5 files in tests; the program itself reads no dataset.
 module hdf5_reading
   use, intrinsic :: iso_c_binding, only: c_ptr, c_loc
   use hdf5, only: hid_t, hsize_t, h5kind_to_type, h5_real_kind, h5_integer_kind, h5dopen_f, &
@@ -13,19 +13,19 @@ module hdf5_reading
   private
   public :: read_dataset, read_attribute, read_shape, path_exists
 
-  !> Reads the attribute `name` of what stands at the `path`, `/` for the file, of an open `file`: a
-  !> single number, or a text.
+  !> Reads the attribute `name`, a single number or a text, of the object at the `path` (`/` for the
+  !> file itself) of an open `file`.
   interface read_attribute
     module procedure :: read_real64, read_int32, read_text_attribute
   end interface read_attribute
 
 contains
 
-  !> Whether a group or dataset is at a path.
+  !> Whether a path leads to a group or dataset.
   function path_exists(file, path) result(yes)
-    !> Open.
+    !> An open file.
     type(hdf5_file_type), intent(in) :: file
-    !> From the root.
+    !> Absolute path.
     character(len=*), intent(in) :: path
     logical :: yes
     integer :: last, slash, status
@@ -45,7 +45,7 @@ contains
     character(len=*), intent(in) :: path, name
     real(dp), intent(inout) :: value
     type(error_type), allocatable, intent(out) :: error
-    ! Not memory_of: gfortran 11 tells it a wrong type of a scalar that is an argument, and
+    ! Not memory_of: gfortran 11 passes it a wrong type of a scalar that is an argument, and
     ! gfortran 14 takes a scalar that was its argument as unchanged.
     real(dp), target :: found
 
@@ -91,11 +91,11 @@ contains
     call check_status(file, path, 'has no attribute '//name//' that is one number', status, error)
   end subroutine read_number
 
-  !> Reads the dataset at the `path` of an open `file`, of the same shape as `values`.
+  !> Reads the dataset at the `path` of an open `file`; it must have the shape of `values`.
   subroutine read_dataset(file, path, values, error)
-    !> Open.
+    !> An open file.
     type(hdf5_file_type), intent(in) :: file
-    !> From the root.
+    !> Absolute path.
     character(len=*), intent(in) :: path
     type(*), intent(inout), target, contiguous :: values(..)
     type(error_type), allocatable, intent(out) :: error
@@ -123,13 +123,13 @@ contains
     call check_status(file, path, 'cannot be read', status, error)
   end subroutine read_dataset
 
-  !> Extents of a dataset, in Fortran order; none for a scalar.
+  !> Reads the extents of a dataset.
   subroutine read_shape(file, path, extents, error)
-    !> Open.
+    !> An open file.
     type(hdf5_file_type), intent(in) :: file
-    !> From the root.
+    !> Absolute path.
     character(len=*), intent(in) :: path
-    !> One a dimension, in Fortran order; none: a scalar.
+    !> One extent for each dimension, in Fortran order; empty for a scalar.
     integer(int64), allocatable, intent(out) :: extents(:)
     type(error_type), allocatable, intent(out) :: error
     integer(hsize_t), allocatable :: most(:)
@@ -152,7 +152,7 @@ contains
     call check_status(file, path, 'cannot be read', status, error)
   end subroutine read_shape
 
-  !> Extents as a reader sees them: 3 x 4.
+  !> Extents as text, such as 3 x 4.
   pure function shape_text(extents) result(text)
     integer(hsize_t), intent(in) :: extents(:)
     character(len=:), allocatable :: text

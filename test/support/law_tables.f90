@@ -1,6 +1,6 @@
-!> Tables on which the laws of all engines are tested: circuits of equal and of unequal urns, with
-!> channel 2 open, closed and with discs in it, single urns; of discs and of polygons. Each has its
-!> mirror images.
+!> Tables on which the laws of all engines are tested: single urns, and circuits of equal and of
+!> unequal urns with channel 2 open, closed or with discs in it. Urns are discs or polygons. Each
+!> table has its mirror images.
 module law_tables
   use battery_kinds, only: wp
   use battery_table, only: table_type, urn_type, channel_type, new_table, shape_circuit, shape_urn
@@ -21,14 +21,14 @@ module law_tables
     re_entrant_square = 20
   integer, parameter, public :: tables = 20
 
-  !> A table as it is, mirrored at its middle line, and mirrored at its axis.
+  !> Images of a table: the table itself, mirrored at its middle line, mirrored at its axis.
   integer, parameter, public :: as_it_is = 0, left_right = 1, up_down = 2
 
-  !> z, y, radius of discs in channel 2; the first stands astride its counted line.
+  !> z, y, radius of discs in channel 2; the first lies on the periodic line.
   real(wp), parameter :: three_discs(3, 3) = reshape([0.0_wp, 0.1_wp, 0.05_wp, 0.2_wp, -0.15_wp, &
     0.1_wp, -0.2_wp, 0.05_wp, 0.1_wp], [3, 3])
 
-  !> Discs astride the line, over a wall, within a billionth of a wall, apart.
+  !> Discs on the periodic line, across a wall, within 1e-9 of a wall, and apart.
   real(wp), parameter :: five_discs(3, 5) = reshape([0.03_wp, 0.02_wp, 0.07_wp, -0.2_wp, 0.19_wp, &
     0.06_wp, 0.18_wp, -0.1_wp + 1.0e-9_wp, 0.1_wp, -0.17_wp, -0.08_wp, 0.05_wp, 0.2_wp, 0.1_wp, &
     0.04_wp], [3, 5])
@@ -40,7 +40,7 @@ contains
     integer, intent(in) :: which
     type(table_type), intent(out) :: table
     integer, intent(out), optional :: threshold(2)
-    !> Absent: `as_it_is`. A single urn is on the left in all images.
+    !> One of the images, by default `as_it_is`. A single urn is on the left in all images.
     integer, intent(in), optional :: image
     type(urn_type) :: urn(2)
     type(channel_type) :: channel(2)

@@ -1,4 +1,4 @@
-!> What observers have measured, by name, for tests.
+!> Access by name to the quantities that observers have measured, for tests.
 module measurements
   use, intrinsic :: ieee_arithmetic, only: ieee_is_nan
   use battery_kinds, only: wp
@@ -10,7 +10,7 @@ module measurements
 
 contains
 
-  !> What an observer has measured so far.
+  !> All that an observer has measured so far.
   pure function seen_by(observer) result(averages)
     type(observer_type), intent(in) :: observer
     type(measured_type) :: averages
@@ -46,7 +46,7 @@ contains
       average(averages, 'flow2_12'), average(averages, 'flow2_21')]
   end function flows
 
-  !> Whether a number is one.
+  !> Whether a number is not NaN.
   pure function known(number)
     real(wp), intent(in) :: number
     logical :: known

@@ -1,4 +1,4 @@
-!> A stand-in for the part of pFUnit's module `pfunit` that the project's tests use: tests on
+!> Substitute for the part of pFUnit's module `pfunit` that the project's tests use: tests on
 !> several MPI processes. See module `funit`.
 module pfunit
   use mpi_f08, only: MPI_Comm, MPI_Comm_rank, MPI_Comm_size, MPI_Comm_split, MPI_Comm_free, &
@@ -91,7 +91,7 @@ contains
     takes_part = rank < this%processes
     call MPI_Comm_split(MPI_COMM_WORLD, merge(0, MPI_UNDEFINED, takes_part), rank, &
       this%communicator)
-    ! Asked of the rank: gfortran 11 finds no operator(==) in Open MPI's module mpi_f08.
+    ! By the rank, not the communicator: gfortran 11 finds no operator(==) in Open MPI's mpi_f08.
     if (.not. takes_part) return
     call this%method(this)
     call MPI_Comm_free(this%communicator)
@@ -112,14 +112,14 @@ contains
     call MPI_Comm_rank(this%communicator, rank)
   end function getProcessRank
 
-  !> How many processes the test's communicator has.
+  !> Number of processes of the test's communicator.
   integer function getNumProcesses(this) result(processes)
     class(MpiTestMethod), intent(in) :: this
 
     call MPI_Comm_size(this%communicator, processes)
   end function getNumProcesses
 
-  !> Gathers the failures of all processes at the root, each once, with the processes that had it.
+  !> Gathers the failures of all processes on the root, each once, with the ranks that had it.
   subroutine gather(this, failures)
     class(MpiContext), intent(in) :: this
     type(exception_type), allocatable, intent(out) :: failures(:)
@@ -206,7 +206,7 @@ contains
     call extra()
   end subroutine initialize
 
-  !> Runs what `load_tests` gives on all processes; every one learns whether all passed.
+  !> Runs the tests of `load_tests` on all processes; returns on each of them whether all passed.
   logical function run(load_tests) result(passed)
     procedure(suite_loader) :: load_tests
     type(MpiContext) :: context

@@ -11,7 +11,7 @@ module plans
 
 contains
 
-  !> The plan that a good namelist describes.
+  !> Plan that a valid namelist describes.
   function plan_of(text) result(plan)
     character(len=*), intent(in) :: text
     type(plan_type) :: plan
@@ -21,12 +21,12 @@ contains
     if (allocated(error)) error stop error%message
   end function plan_of
 
-  !> One task of the plan that a good namelist describes.
+  !> One task of the plan that a valid namelist describes.
   function task_from(text, number, initial_fingerprint) result(task)
     character(len=*), intent(in) :: text
-    !> Of the task, from 1; absent: 1.
+    !> Number of the task, from 1; absent: 1.
     integer, intent(in), optional :: number
-    !> Of the initial file; absent: there is none.
+    !> Fingerprint of the initial file; absent: there is no such file.
     integer(int64), intent(in), optional :: initial_fingerprint
     type(task_type) :: task
     type(plan_type) :: plan

@@ -1,4 +1,4 @@
-!> What the tests of the physics share: tables, particles made by formula, numbers drawn by formula.
+!> Shared by the tests of the physics: tables, particles at given places, portable random numbers.
 module scenes
   use battery_kinds, only: wp, int64
   use battery_urn, only: shape_polygon
@@ -12,43 +12,43 @@ module scenes
   public :: scatter, pick, mirrored_x, mirrored_y, reversed, of_particles, one_particle
   public :: count_in_first, same_bits, facing, channel_of
 
-  !> Polygons: regular, with angles that are no shares of a turn, with parts that reach in and over
-  !> a channel; and a triangle that has no upright side on the left, whose side that the axis meets
-  !> there begins at the opening, and whose origin lies outside of it.
+  !> Polygons: regular ones; with angles that are no rational multiples of a turn; with parts that
+  !> reach inwards and over a channel; and a triangle without a vertical side on the left: its side
+  !> on the axis begins at the opening, and the origin lies outside the triangle.
   integer, parameter, public :: hexagon = 1, decagon = 2, crooked = 3, re_entrant = 4, square = 5, &
     wedge = 6
 
-  !> The next random number, or the next few.
+  !> Draws the next random number, or the next few.
   interface draw
     procedure draw_one, draw_many
   end interface draw
 
 contains
 
-  !> Chord 1 is the long side of a triangle with whole numbers: distances are exact in binary.
+  !> Table whose chord 1 is a side of a right triangle with the sides 3, 4 and 5 in units of r/5.
   pure function table_3_4_5() result(table)
     type(table_type) :: table
 
     table = new_table(shape_circuit, 1.25_wp, 1.5_wp, 1.0_wp, 0.0_wp, 1.0_wp)
   end function table_3_4_5
 
-  !> A table with all five lengths different.
+  !> Table with five different lengths.
   pure function uneven_table() result(table)
     type(table_type) :: table
 
     table = new_table(shape_circuit, 1.25_wp, 0.7_wp, 1.5_wp, 0.4_wp, 0.75_wp)
   end function uneven_table
 
-  !> The table of the paper's figures with w = 0.3, w' = 0.01.
+  !> Table of the paper's figures with w = 0.3 and w' = 0.01.
   pure function paper_table() result(table)
     type(table_type) :: table
 
     table = new_table(shape_circuit, 1.0_wp, 0.3_wp, 1.0_wp, 0.01_wp, 1.0_wp)
   end function paper_table
 
-  !> One of the polygons, as an urn that has no openings yet.
+  !> One of the polygons, as an urn without openings.
   pure function polygon_urn(kind) result(urn)
-    !> `hexagon` and so on.
+    !> `hexagon`, `decagon`, ...
     integer, intent(in) :: kind
     type(urn_type) :: urn
 
@@ -72,7 +72,7 @@ contains
     end select
   end function polygon_urn
 
-  !> Polygons as urns of the uneven table.
+  !> Uneven table with polygons as urns.
   pure function polygon_table(first, second) result(table)
     integer, intent(in) :: first, second
     type(table_type) :: table
@@ -81,7 +81,7 @@ contains
       [channel_type(0.7_wp, 1.5_wp), channel_type(0.4_wp, 0.75_wp)])
   end function polygon_table
 
-  !> The same with channel 2 closed.
+  !> Uneven table with polygons as urns and channel 2 closed.
   pure function closed_table(first, second) result(table)
     integer, intent(in) :: first, second
     type(table_type) :: table
@@ -90,8 +90,8 @@ contains
       [channel_type(0.7_wp, 1.5_wp), channel_type(0.0_wp, 0.75_wp)])
   end function closed_table
 
-  !> Next number in (0, 1): two steps of the multiplicative generator of Park and Miller with the
-  !> multiplier 48271 make 53 bits. Start from any whole number from 1 to 2147483646.
+  !> Next number in (0, 1) with 53 bits, from two steps of the multiplicative generator of Park and
+  !> Miller with the multiplier 48271. The state begins with any integer from 1 to 2147483646.
   subroutine draw_one(state, number)
     integer(int64), intent(inout) :: state
     real(wp), intent(out) :: number
@@ -113,7 +113,8 @@ contains
     end do
   end subroutine draw_many
 
-  !> `number` particles, uniform in the table (`everywhere`) or in its urns, of all directions.
+  !> Makes `number` particles with random directions, uniform in the table (`everywhere`) or in its
+  !> urns.
   subroutine scatter(table, number, seed, everywhere, particles)
     type(table_type), intent(in) :: table
     integer, intent(in) :: number, seed
@@ -143,7 +144,7 @@ contains
     end do
   end subroutine scatter
 
-  !> Particles at the places x on the axis that fly to the right; the other numbers are to be set.
+  !> Particles on the axis at x that move to the right; y, ux and uy can be changed afterwards.
   pure function of_particles(x) result(particles)
     real(wp), intent(in) :: x(:)
     type(particles_type) :: particles
@@ -165,7 +166,7 @@ contains
     particles%uy = [uy]
   end function one_particle
 
-  !> The particles with the numbers `order`, in that order.
+  !> The particles with the indices `order`, in that order.
   pure function pick(particles, order) result(picked)
     type(particles_type), intent(in) :: particles
     integer, intent(in) :: order(:)
@@ -195,7 +196,7 @@ contains
     mirrored%uy = -particles%uy
   end function mirrored_y
 
-  !> The same places, all velocities turned round.
+  !> The same positions with all velocities reversed.
   pure function reversed(particles) result(back)
     type(particles_type), intent(in) :: particles
     type(particles_type) :: back
@@ -205,34 +206,34 @@ contains
     back%uy = -particles%uy
   end function reversed
 
-  !> N1: how many particles are in the left half of the table.
+  !> N1: number of particles in the left half of the table.
   pure integer function count_in_first(particles)
     type(particles_type), intent(in) :: particles
 
     count_in_first = count(particles%x < 0.0_wp)
   end function count_in_first
 
-  !> Whether two numbers are the same to the last bit, but for the sign of a zero.
+  !> Whether two numbers agree in all bits, except for the sign of a zero.
   elemental logical function same_bits(a, b)
     real(wp), intent(in) :: a, b
 
     same_bits = a <= b .and. a >= b
   end function same_bits
 
-  !> The way along x, in the frame of an urn, to a channel; 0 for none.
-  elemental function facing(channel) result(way)
+  !> Direction along x to a channel, in the frame of an urn; 0 for none.
+  elemental function facing(channel) result(direction)
     integer(int64), intent(in) :: channel
-    real(wp) :: way
+    real(wp) :: direction
 
-    way = merge(1.0_wp, merge(-1.0_wp, 0.0_wp, channel == 2), channel == 1)
+    direction = merge(1.0_wp, merge(-1.0_wp, 0.0_wp, channel == 2), channel == 1)
   end function facing
 
-  !> The channel that lies this way, 1 or -1.
-  elemental function channel_of(way) result(channel)
-    real(wp), intent(in) :: way
+  !> Channel in the direction 1 or -1 along x, in the frame of an urn.
+  elemental function channel_of(direction) result(channel)
+    real(wp), intent(in) :: direction
     integer(int64) :: channel
 
-    channel = merge(1_int64, 2_int64, way > 0.0_wp)
+    channel = merge(1_int64, 2_int64, direction > 0.0_wp)
   end function channel_of
 
 end module scenes
