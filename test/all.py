@@ -75,14 +75,10 @@ def parts(arguments: argparse.Namespace) -> list[Part]:
         ),
         Part("style of the Python sources", style, lint=True),
         Part(
-            # They link the library that make has built; the suites themselves need no optimization.
-            "Fortran, release build",
-            [*fortran, "release", f"--flags={arguments.release} -O0",
-             f"--ldflags={arguments.release_link}", f"--library={arguments.built}"],
-        ),
-        Part(
-            "Fortran, debug build with traps",
-            [*fortran, "debug", f"--flags={arguments.debug}", f"--ldflags={arguments.debug_link}"],
+            "Fortran, debug build with traps, then the library that make has built",
+            [*fortran, "debug", f"--flags={arguments.debug}", f"--ldflags={arguments.debug_link}",
+             f"--library={arguments.built}", f"--library-flags={arguments.release}",
+             f"--library-ldflags={arguments.release_link}"],
         ),
         *second,
         Part("Python", [*python, "postproc", "test", "studies"]),

@@ -43,6 +43,7 @@ CLOSED = 0.01  # least overall share at which the correction is from first passa
 FREE = 1.0 - 1e-12  # overall share above which all particles pass
 STEEPEST = 60.0  # power of S
 SMALL = 1e-200
+LEAST = 1e-300  # chance of which the logarithm is taken for that of 0
 
 
 def cosine_law(half_length: float, count: int = ANGLES) -> tuple[Floats, Floats]:
@@ -137,18 +138,17 @@ def _poisson(count: Floats, mean: Floats) -> Floats:
     return np.where(count >= 0, chance, 0.0)
 
 
-def _meeting(others: int, survive: Floats, last: Floats, mean: Floats, level: int) -> Floats:
-    """Return P(binomial(others, survive) + Bernoulli(last) + Poisson(mean) = level).
+def _meeting(others: int, survive: Floats, last: Floats, poisson: Floats, level: int) -> Floats:
+    """Return P(binomial(others, survive) + Bernoulli(last) + new ones = level).
 
-    Arrays of shape (case,); summed over the number of the others that are left.
+    Summed over the number of the others that are left. `survive` and `last` have the shape (case,);
+    `poisson` has the chances of 0 ... `level` new ones, shape (number, case).
     """
     k = np.arange(min(others, level) + 1)[:, None]
     log_binomial = special.gammaln(others + 1.0)
     log_binomial = log_binomial - special.gammaln(k + 1.0) - special.gammaln(others - k + 1.0)
-    chance = np.exp(
-        log_binomial + special.xlogy(k, survive) + special.xlog1py(others - k, -survive)
-    )
-    poisson = _poisson(np.arange(level + 1)[:, None], mean)
+    stay, leave = (np.log(np.maximum(one, LEAST)) for one in (survive, 1.0 - survive))
+    chance = np.exp(log_binomial + k * stay + (others - k) * leave)
     new, fewer = poisson[level - k[:, 0]], np.zeros(chance.shape)
     some = k[:, 0] < level
     fewer[some] = poisson[level - 1 - k[some, 0]]
@@ -167,9 +167,10 @@ def _thrown_out(threshold: int, rate: float, stays: Floats, shares: Floats) -> f
     row, column = row[column > 0], column[column > 0]
     since = row - column
     survive = (longer[row] - filled[since]) / filled[column]
+    poisson = _poisson(np.arange(threshold + 1)[:, None], rate * filled)
     again = np.zeros((STEPS + 1, STEPS + 1))
     again[row, column] = rate * _meeting(
-        threshold, np.clip(survive, 0.0, 1.0), staying[since], rate * filled[since], threshold
+        threshold, np.clip(survive, 0.0, 1.0), staying[since], poisson[:, since], threshold
     )
     for at in range(1, STEPS + 1):
         first[at] = max(meet[at] - step * again[at, :at] @ first[:at], 0.0)
@@ -196,12 +197,12 @@ def _undisturbed(threshold: int, rate: float, stays: Floats, shares: Floats, ful
     residual, level = 1.0 - filled / mean_stay, threshold - 1
     found = _found(threshold, rate * mean_stay, full)[:threshold]
     found = found / found.sum()
-    mean = rate * filled
+    poisson = _poisson(np.arange(threshold)[:, None], rate * filled)
     meet = rate * sum(
-        weight * _meeting(k, residual, np.zeros(time.size), mean, level)
+        weight * _meeting(k, residual, np.zeros(time.size), poisson, level)
         for k, weight in enumerate(found)
     )
-    again = rate * _meeting(level, residual, staying, mean, level)
+    again = rate * _meeting(level, residual, staying, poisson, level)
     first = np.zeros(time.size)
     for at in range(time.size):
         first[at] = max(meet[at] - step * again[at:0:-1] @ first[:at], 0.0)

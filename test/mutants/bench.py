@@ -72,14 +72,14 @@ class Bench:
         package = FOLDER / "package"
         files = [ROOT / f"test/{name}.pf" for name in names]
         suites = self.runner.write_package(package, files, None)
-        programs = self.runner.build(
+        program = self.runner.build(
             package, self.flags, self.libraries, self.runner.COMPILER, verbose=False)
-        self.objects = newest(package.glob("build/*/battery_tests/serial_*.o"))
+        self.objects = newest(package.glob("build/*/battery_tests/suites_*.o"))
         self.archives = newest(package.glob("build/*/*/lib*.a"))
         self.modules = newest(package.glob("build/*/battery_table.mod"))[0].parent
         self.seconds = {}
         for suite in suites:
-            sound = self.runner.run_suite(suite, programs, 600.0)
+            sound = self.runner.run_suite(suite, program, 600.0)
             if sound.failed:
                 raise UnsoundError(f"{suite.module}: {sound.failures[0]}")
             self.seconds[suite.module] = sound.seconds
@@ -107,7 +107,7 @@ class Bench:
         # What the object defines is not looked for in the archives.
         link_it = [*common, *map(str, self.objects), str(compiled), *map(str, self.archives),
                    *shlex.split(self.libraries), "-lhdf5_hl", "-lhdf5_fortran",
-                   "-lhdf5", "-lcrypto", "-lgsl", "-lgslcblas", "-o", str(folder / "serial_tests")]
+                   "-lhdf5", "-lcrypto", "-lgsl", "-lgslcblas", "-o", str(folder / self.runner.PROGRAM)]
         return all(subprocess.run(command, capture_output=True, check=False).returncode == 0
                    for command in (compile_it, link_it))
 
@@ -136,7 +136,7 @@ class Bench:
             if only not in ("", suite.module):
                 continue
             patience = SECONDS + PATIENCE * self.seconds[suite.module]
-            found = self.runner.run_suite(suite, folder, patience)
+            found = self.runner.run_suite(suite, folder / self.runner.PROGRAM, patience)
             red += [f"{suite.module}: {name}" for name in names_of(found.failures)]
             if red and not every:
                 break

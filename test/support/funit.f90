@@ -77,7 +77,6 @@ module funit
 
   !> Tests in the order they were added, under their full names.
   type :: TestSuite
-    private
     character(len=:), allocatable :: name
     type(test_holder), allocatable :: tests(:)
   contains
@@ -169,18 +168,18 @@ contains
   !> Runs the tests of `load_tests` on this one process; returns whether all passed.
   logical function run(load_tests) result(passed)
     procedure(suite_loader) :: load_tests
-
-    passed = run_in(load_tests, SerialContext())
-  end function run
-
-  !> Runs the tests of `load_tests` on the processes of `context`; the root process reports.
-  logical function run_in(load_tests, context) result(passed)
-    procedure(suite_loader) :: load_tests
-    class(SerialContext), intent(in) :: context
     type(TestSuite) :: suite
-    integer :: i, failed
 
     suite = load_tests()
+    passed = run_in(suite, SerialContext())
+  end function run
+
+  !> Runs a suite on the processes of `context`; the root reports.
+  logical function run_in(suite, context) result(passed)
+    type(TestSuite), intent(inout) :: suite
+    class(SerialContext), intent(in) :: context
+    integer :: i, failed
+
     failed = 0
     do i = 1, size(suite%tests)
       if (.not. passes(suite%tests(i)%item, context)) failed = failed + 1

@@ -1,8 +1,10 @@
 !> Substitute for the part of pFUnit's module `pfunit` that the project's tests use: tests on
-!> several MPI processes. See module `funit`.
+!> several MPI processes. See module `funit`. MPI is started only for suites with such tests.
 module pfunit
+  use, intrinsic :: ieee_exceptions, only: ieee_all, ieee_status_type, ieee_get_status, &
+    ieee_set_status, ieee_set_halting_mode
   use mpi_f08, only: MPI_Comm, MPI_Comm_rank, MPI_Comm_size, MPI_Comm_split, MPI_Comm_free, &
-    MPI_Gather, MPI_Gatherv, MPI_Bcast, MPI_Init, MPI_Finalize, MPI_COMM_WORLD, MPI_COMM_NULL, &
+    MPI_Gather, MPI_Gatherv, MPI_Bcast, MPI_Init, MPI_Initialized, MPI_Finalize, MPI_COMM_WORLD, MPI_COMM_NULL, &
     MPI_CHARACTER, MPI_INTEGER, MPI_LOGICAL, MPI_UNDEFINED
   use funit_exceptions, only: exception_type, same_exception, take_exceptions, throw
   use funit, only: SourceLocation, anyExceptions, assertTrue, assertFalse, assertEqual, &
@@ -198,35 +200,70 @@ contains
     end do
   end subroutine unpack_failures
 
-  !> Starts MPI, then the user's own preparation.
+  !> Prepares for the tests; `extra` is the user's own preparation.
   subroutine initialize(extra)
     procedure(plain_procedure) :: extra
 
-    call MPI_Init()
     call extra()
   end subroutine initialize
+
+  !> Starts MPI. Open MPI 5 makes a NaN on purpose while it starts.
+  subroutine start_mpi()
+    type(ieee_status_type) :: status
+
+    call ieee_get_status(status)
+    call ieee_set_halting_mode(ieee_all, .false.)
+    call MPI_Init()
+    call ieee_set_status(status)
+  end subroutine start_mpi
 
   !> Runs the tests of `load_tests` on all processes; returns on each of them whether all passed.
   logical function run(load_tests) result(passed)
     procedure(suite_loader) :: load_tests
+    type(TestSuite) :: suite
     type(MpiContext) :: context
     integer :: rank
 
+    suite = load_tests()
+    if (.not. has_mpi_tests(suite)) then
+      passed = run_in(suite, SerialContext())
+      return
+    end if
+    call start_mpi()
     call MPI_Comm_rank(context%communicator, rank)
     context%root = rank == 0
-    passed = run_in(load_tests, context)
+    passed = run_in(suite, context)
     call MPI_Bcast(passed, 1, MPI_LOGICAL, 0, MPI_COMM_WORLD)
   end function run
+
+  !> Whether a test of the suite runs on several processes.
+  pure logical function has_mpi_tests(suite)
+    type(TestSuite), intent(in) :: suite
+    integer :: i
+
+    has_mpi_tests = .false.
+    do i = 1, size(suite%tests)
+      select type (one => suite%tests(i)%item)
+      type is (MpiTestMethod)
+        has_mpi_tests = .true.
+      end select
+    end do
+  end function has_mpi_tests
 
   !> Ends MPI and the program, with exit code 2 from the root if a test failed.
   subroutine finalize(extra, successful)
     procedure(plain_procedure) :: extra
     logical, intent(in) :: successful
     integer :: rank
+    logical :: has_mpi
 
     call extra()
-    call MPI_Comm_rank(MPI_COMM_WORLD, rank)
-    call MPI_Finalize()
+    rank = 0
+    call MPI_Initialized(has_mpi)
+    if (has_mpi) then
+      call MPI_Comm_rank(MPI_COMM_WORLD, rank)
+      call MPI_Finalize()
+    end if
     if (rank == 0 .and. .not. successful) stop 2
   end subroutine finalize
 
