@@ -1,10 +1,10 @@
 """Counts of channel 2 in the renewal chain: urns without memory, N2 a Markov chain.
 
 The chain has particles pass one at a time through channels 1 and 2 at rates that depend on N2, the
-number of urn 2, alone. It starts from its stationary distribution over N2 > N/2 and never goes
-below. With J_t the net number that channel 2 has brought from urn 2 to urn 1, the generating
-function of J_t and its growth rate are those of the chain's generator with a factor exp(s) at each
-step that counts +1 and exp(-s) at each that counts -1.
+number of urn 2, alone. It starts from its stationary distribution; where both gates are alike, from
+that over N2 > N/2, and it never goes below. With J_t the net number that channel 2 has brought from
+urn 2 to urn 1, the generating function of J_t and its growth rate are those of the chain's
+generator with a factor exp(s) at each step that counts +1 and exp(-s) at each that counts -1.
 """
 
 from __future__ import annotations
@@ -147,14 +147,16 @@ def _after(state: NDArray[np.complex128], up: NDArray[np.complex128], down: NDAr
             return total
 
 
-def renewal_chain(number: int, threshold: int, channel2_width: float) -> Chain:
-    """Return the chain of a circuit with w = 0.3, r = l = l' = 1."""
-    circuit = MODELS["renewal_chain"].of(Circuit(number, threshold, channel2_width=channel2_width))
-    number2 = np.arange(number // 2 + 1, number + 1)
-    number1 = number - number2
-    filled = np.maximum(number1, 1)
-    up1, up2 = (np.where(number1 > 0, flow(circuit, filled), 0.0) for flow in (flow1, flow2))
-    down1, down2 = (flow(circuit, number2) for flow in (flow1, flow2))
+def renewal_chain(circuit: Circuit) -> Chain:
+    """Return the chain of a circuit; of one whose gates are alike, that with N2 > N/2."""
+    one, two = (MODELS["renewal_occupation"].of(side) for side in circuit.sides)
+    number = int(circuit.number)
+    number2 = np.arange(number // 2 + 1 if circuit.alike else 0, number + 1)
+    up1, up2, down1, down2 = (
+        np.where(held > 0, flow(side, np.maximum(held, 1)), 0.0)
+        for side, held in ((one, number - number2), (two, number2))
+        for flow in (flow1, flow2)
+    )
     down1[0] = down2[0] = 0.0
     return Chain(number2.astype(float), up1, up2, down1, down2)
 

@@ -17,7 +17,9 @@ import numpy as np
 import postproc
 from postproc import study
 from postproc.figures import style
-from studies.event_log import Circuit, read_log
+from postproc.theory.circuit import Circuit
+from studies.event_log import Circuit as Table
+from studies.event_log import read_log
 from studies.fluctuations.averages import (
     jackknife,
     moment_totals,
@@ -28,7 +30,7 @@ from studies.fluctuations.averages import (
 )
 from studies.fluctuations.counting import frozen_slope, renewal_chain
 from studies.fluctuations.logs import passages, round_time
-from studies.fluctuations.trains import Trains, begun, circuit_of
+from studies.fluctuations.trains import Trains, begun
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -49,22 +51,27 @@ CASES = {
     "wide": "T = 12",
     "wide_reservoir": "T = 12, reservoir",
 }
-CIRCUITS = {"gated": (1000, 7, 0.01), "wide": (1000, 12, 0.0612)}  # N, T, w'
+CIRCUITS = {
+    "gated": Circuit(1000, 7),
+    "wide": Circuit(1000, 12, channel2_width=0.0612),
+    "small": Circuit(40, 40, 0.6, channel2_width=0.06, gate2_threshold=1),
+}
 LONGEST = 2**15  # passages of one train in a log, more than any has
 BEGIN = {"gated": 55_000.0}  # age at which circulations are filled, later than the transient
 SHORT = (0.5, 1.0, 2.0, 4.0)
 LONG = (1.0, 4.0, 16.0, 64.0, 256.0, 1000.0, 4000.0, 10000.0, 25000.0, 50000.0, 100000.0)
 FEWEST = 25  # counts of -j for a ratio
 FEWEST_INTERVALS = 32  # for a variance, of all runs
+COUNTS = (1, 2, 4)
+SMALL_TIMES = (1.0, 3.0, 6.0, 9.0, 12.0, 15.0, 18.0, 24.0)
 # the chain's counts: times, tilt and size of the Fourier transform
 COUNTING = {
     "gated": ((1.0, 4.0, 16.0, 64.0, 128.0), -1.8, 256),
     "wide": ((1.0, 4.0, 16.0, 32.0), -0.35, 256),
+    "small": (SMALL_TIMES, -0.7, 128),
 }
-COUNTS = (1, 2, 4)
 LOGGED = {"gated": 35, "wide": 224}  # particles of urn 1 at the start of event logs
 LOG_TIMES = (16.0, 64.0, 256.0, 1000.0)
-SMALL_TIMES = (1.0, 3.0, 6.0, 9.0, 12.0, 15.0, 18.0, 24.0)
 
 
 @dataclass(frozen=True)
@@ -178,7 +185,7 @@ def chains() -> Rows:
     """Return what the renewal chain has: slopes by time and count, and its limits."""
     rows: Rows = []
     for name, (times, tilt, size) in COUNTING.items():
-        chain = renewal_chain(*CIRCUITS[name])
+        chain = renewal_chain(CIRCUITS[name])
         found = chain.slopes(times, COUNTS, tilt=tilt, size=size)
         with_, against = chain.flows2
         limits = {
@@ -198,8 +205,8 @@ def modelled(spreads: Rows) -> Rows:
     The flows are those of the rows of `variances`.
     """
     rows: Rows = []
-    for name, numbers in CIRCUITS.items():
-        rate, period = begun(circuit_of(*numbers))
+    for name in LOGGED:
+        rate, period = begun(CIRCUITS[name])
         own = next(row for row in spreads if row["case"] == name)
         with_, against = (0.5 * (own["both_flows"] + sign * own["current"]) for sign in (1, -1))
         flow = Trains(rate, period, 0.0, 0.0).flow
@@ -217,20 +224,27 @@ def modelled(spreads: Rows) -> Rows:
     return rows
 
 
+def table_of(circuit: Circuit) -> Table:
+    """Return a circuit as event logs take it."""
+    return Table(circuit.number, channel1_width=circuit.channel1_width,
+                 channel2_width=circuit.channel2_width)  # fmt: skip
+
+
 def repeated(work: study.Study) -> Rows:
     """Return variances of counts with and without repeats, from event logs."""
     rows: Rows = []
     logs, begin, span = int(work.pick(2, 4)), 10_000.0, work.pick(4e3, 4e4)
-    for name, (number, threshold, width) in CIRCUITS.items():
+    for name, at_start in LOGGED.items():
         counts = []  # log, with or without, interval
         for seed in range(logs):
             changes = {
-                "table": {"channel2_width": width}, "gate": {"threshold": threshold},
-                "particles": {"seed": 840 + seed, "urn1_number": LOGGED[name]},
+                "table": {"channel2_width": CIRCUITS[name].channel2_width},
+                "gate": {"threshold": CIRCUITS[name].threshold},
+                "particles": {"seed": 840 + seed, "urn1_number": at_start},
                 "run": {"duration": begin + span},
             }  # fmt: skip
             path = work.run("events", f"log_{name}", changes, alone=True)
-            found = passages(read_log(path), Circuit(number, channel2_width=width))
+            found = passages(read_log(path), table_of(CIRCUITS[name]))
             path.unlink()
             counts.append([found.counts(begin, begin + span, LOG_TIMES[0], repeats=one)
                            for one in (True, False)])  # fmt: skip
@@ -254,7 +268,7 @@ def small(work: study.Study) -> Rows:
     groups = f90nml.read(work.place / "small.nml")
     begin, end = (groups["run"][key] for key in ("transient_duration", "duration"))
     end = begin + work.pick(0.1, 1.0) * (end - begin)
-    circuit = Circuit(40, channel1_width=0.6, channel2_width=0.06)
+    circuit = table_of(CIRCUITS["small"])
     counts, flows, trains = [], [], []
     for seed in range(int(work.pick(4, 20))):
         changes = {"particles": {"seed": 850 + seed}, "run": {"duration": end}}
@@ -344,7 +358,7 @@ def _ratios(panel: Axes, rows: Rows) -> None:
     panel.legend(fontsize=6.5, loc="lower left")
 
 
-def _small(panel: Axes, rows: Rows) -> None:
+def _small(panel: Axes, rows: Rows, chain: Rows) -> None:
     """Draw slopes of j = 1 of the small circuit against the length of the intervals."""
     kinds = {"small": ("o", "C0", "all"), "small_once": ("D", "C2", "without repeats"),
              "small_reservoir": ("^", "C1", "reservoir")}  # fmt: skip
@@ -356,7 +370,10 @@ def _small(panel: Axes, rows: Rows) -> None:
         if name == "small":
             panel.plot([row["t"] for row in own], [row["model"] for row in own], "--",
                        color=colour, lw=0.8, label="trains")  # fmt: skip
-    panel.set(xlabel="t", ylabel="slope of j = 1, N = 40")
+    own = [row for row in chain if row["case"] == "small"]
+    panel.plot([row["t"] for row in own], [row["slope_1"] for row in own], ":", color="C1", lw=1.0,
+               label="renewal chain")  # fmt: skip
+    panel.set(xlabel="t", ylabel="slope of j = 1, small circuit")
     panel.legend(fontsize=6.5)
 
 
@@ -384,7 +401,7 @@ def figure(found: dict[str, Rows]) -> Figure:
     made = style.figure(style.PAGE, 3.0)
     panels = made.subplots(1, 3)
     _ratios(panels[0], found["slopes"])
-    _small(panels[1], found["small"])
+    _small(panels[1], found["small"], found["chain"])
     _spreads(panels[2], found)
     return made
 

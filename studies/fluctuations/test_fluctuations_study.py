@@ -9,7 +9,9 @@ import pytest
 from scipy.optimize import brentq
 from scipy.stats import skellam
 
-from studies.event_log import CROSSING2, Circuit, Log
+from postproc.theory.circuit import Circuit
+from studies.event_log import CROSSING2, Log
+from studies.event_log import Circuit as Table
 from studies.fluctuations.averages import (
     jackknife,
     moment_totals,
@@ -20,7 +22,7 @@ from studies.fluctuations.averages import (
 )
 from studies.fluctuations.counting import Chain, frozen_slope, renewal_chain
 from studies.fluctuations.logs import passages, round_time
-from studies.fluctuations.trains import Trains, begun, circuit_of, powers_in_window
+from studies.fluctuations.trains import Trains, begun, powers_in_window
 
 
 def two_states() -> Chain:
@@ -62,11 +64,18 @@ def test_frozen_rates_lower_the_slope() -> None:
 
 
 def test_renewal_chain_has_the_theory_s_current() -> None:
-    chain = renewal_chain(1000, 7, 0.01)
+    chain = renewal_chain(Circuit(1000, 7))
     with_, against = chain.flows2
     assert with_ - against == pytest.approx(0.9393, abs=2e-4)
     assert chain.last_variance() == pytest.approx(0.8825, abs=5e-4)
     assert chain.affinity == pytest.approx(7.05, abs=0.01)
+
+
+def test_a_chain_of_unlike_gates_has_all_states() -> None:
+    chain = renewal_chain(Circuit(40, 40, 0.6, channel2_width=0.06, gate2_threshold=1))
+    assert chain.number2.tolist() == list(range(41))
+    assert chain.up1[-1] == chain.down1[0] == 0.0
+    assert chain.stationary @ chain.number2 == pytest.approx(31.4, abs=1.0)
 
 
 @pytest.mark.parametrize("time", [0.7, 2.0, 5.0, 11.3, 400.0])
@@ -104,14 +113,14 @@ def test_below_a_round_trains_are_independent_crossings() -> None:
 
 
 def test_trains_begin_as_often_as_the_page_of_circulation_has_it() -> None:
-    rate, period = begun(circuit_of(1000, 7, 0.01))
+    rate, period = begun(Circuit(1000, 7))
     assert period == pytest.approx(5.98, abs=0.01)
     assert (rate >= 0.0).all()
     assert rate[7:].sum() == pytest.approx(3.42e-4, rel=0.03)  # nine crossings and more
 
 
 def test_repeats_are_passages_one_round_later() -> None:
-    circuit = Circuit()
+    circuit = Table()
     period = round_time(circuit)
     time = np.array([1.0, 2.0, 1.0 + period, 9.0, 1.001 + 2.0 * period])
     where, particle = np.array([21, 12, 21, 12, 21]), np.array([4, 5, 4, 5, 4])

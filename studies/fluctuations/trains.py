@@ -15,13 +15,14 @@ import numpy as np
 from scipy.special import gammaln, ive, logsumexp
 
 from postproc.theory import circulation, two_port
-from postproc.theory.circuit import Circuit
 from postproc.theory.models import MODELS
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from numpy.typing import NDArray
+
+    from postproc.theory.circuit import Circuit
 
     Floats = NDArray[np.float64]
 
@@ -138,8 +139,9 @@ def begun(circuit: Circuit) -> tuple[Floats, float]:
     rates fall as exp(-R m)/m, R the fraction that the gate of the other urn reverses. A particle
     that is reversed there ends its train: that it may come back is left out.
     """
-    state = max(MODELS["two_port"].solve_stable(circuit), key=lambda one: one.urn2_number)
-    straight = two_port.straight_at(circuit, state.urn2_number)
+    own = MODELS["two_port"].of(circuit)
+    state = max(MODELS["two_port"].solve_stable(own), key=lambda one: one.urn2_number)
+    straight = two_port.straight_at(own, state.urn2_number)
     reached = np.zeros(circulation.ROUNDS + 2)  # rates of the c-th crossing of a train
     place, slope, _, weights = straight.begun(1, np.random.default_rng(1))
     origin = weights.sum(axis=0)
@@ -155,9 +157,4 @@ def begun(circuit: Circuit) -> tuple[Floats, float]:
     late = height * np.exp(-ended * many) / many
     rates = np.where(many <= LATE, reached[np.minimum(many, LATE)], late)
     rates = np.minimum.accumulate(rates)
-    return -np.diff(np.append(rates, 0.0)), circulation.round_time(circuit)
-
-
-def circuit_of(number: int, threshold: int, channel2_width: float) -> Circuit:
-    """Return a circuit with w = 0.3, r = l = l' = 1 as `two_port` takes it."""
-    return MODELS["two_port"].of(Circuit(number, threshold, channel2_width=channel2_width))
+    return -np.diff(np.append(rates, 0.0)), circulation.round_time(own)
