@@ -45,7 +45,7 @@ if TYPE_CHECKING:
 Rows = list[dict[str, object]]
 
 CASES = {
-    "free": "free",
+    "free": "free (T = N)",
     "gated": "T = 7",
     "gated_reservoir": "T = 7, reservoir",
     "wide": "T = 12",
@@ -298,7 +298,8 @@ def small(work: study.Study) -> Rows:
         row["model"] = float(model.slopes(time, (int(row["j"]),))[0]) if whole else math.nan
         row["ln_single"] = math.log(model.with_ / model.against) if whole else math.nan
         row["current"] = model.current if whole else math.nan
-        row["variance_rate"] = summed(np.array(counts)[:, 0], round(time)).var() / time
+        spread = summed(np.array(counts)[:, 0], round(time)).var() / time
+        row["variance_rate"] = float(spread) if whole else math.nan
         row["model_variance"] = model.cumulant(2, time) if whole else math.nan
     return rows
 
@@ -343,7 +344,7 @@ def _text(value: object) -> str:
 def _ratios(panel: Axes, rows: Rows) -> None:
     """Draw slopes over the logarithm of the ratio of flows against j."""
     marks = {("gated", 1.0): ("s", "C1", -0.12), ("wide", 0.5): ("^", "C3", 0.0),
-             ("wide", 1.0): ("v", "C4", 0.06), ("wide", 2.0): ("D", "C5", 0.12)}  # fmt: skip
+             ("wide", 1.0): ("v", style.NAVY, 0.06), ("wide", 2.0): ("D", style.BROWN, 0.12)}
     for (name, time), (mark, colour, aside) in marks.items():
         own = [row for row in rows if row["case"] == name and row["t"] == time]
         j = np.array([row["j"] for row in own])
@@ -354,7 +355,8 @@ def _ratios(panel: Axes, rows: Rows) -> None:
                        label=f"{CASES[name]}, t = {time:g}")  # fmt: skip
         panel.plot(j, [row["frozen"] / flows for row in own], "--", color=colour, lw=0.8)
     panel.axhline(1.0, color="black", lw=0.7)
-    panel.set(xlabel="j", ylabel="slope over ln of ratio of flows", ylim=(0.8, 1.03))
+    panel.set(xlabel="j", ylabel="slope over ln of ratio of flows", ylim=(0.8, 1.03),
+              xticks=range(1, 7))  # fmt: skip
     panel.legend(fontsize=6.5, loc="lower left")
 
 
@@ -364,7 +366,8 @@ def _small(panel: Axes, rows: Rows, chain: Rows) -> None:
              "small_reservoir": ("^", "C1", "reservoir")}  # fmt: skip
     for name, (mark, colour, label) in kinds.items():
         own = [row for row in rows if row["case"] == name and row["j"] == 1]
-        panel.errorbar([row["t"] for row in own], [row["slope"] for row in own],
+        aside = {"small": -0.2, "small_once": 0.2}.get(name, 0.0)
+        panel.errorbar([row["t"] + aside for row in own], [row["slope"] for row in own],
                        [row["error"] for row in own], fmt=mark, color=colour, ms=3.5, mfc="white",
                        lw=0.9, label=label)  # fmt: skip
         if name == "small":
@@ -373,8 +376,8 @@ def _small(panel: Axes, rows: Rows, chain: Rows) -> None:
     own = [row for row in chain if row["case"] == "small"]
     panel.plot([row["t"] for row in own], [row["slope_1"] for row in own], ":", color="C1", lw=1.0,
                label="renewal chain")  # fmt: skip
-    panel.set(xlabel="t", ylabel="slope of j = 1, small circuit")
-    panel.legend(fontsize=6.5)
+    panel.set(xlabel="t (r/v)", ylabel="slope of j = 1, small circuit", ylim=(1.3, 2.2))
+    panel.legend(fontsize=6.5, loc="upper right")
 
 
 def _spreads(panel: Axes, found: dict[str, Rows]) -> None:
@@ -385,14 +388,13 @@ def _spreads(panel: Axes, found: dict[str, Rows]) -> None:
         panel.errorbar(time * 1.06 ** (at - 2), [row["variance_rate"] / scale for row in own],
                        [row["error"] / scale for row in own], fmt="osD^v"[at], color=f"C{at}",
                        mfc="white", ms=3.5, lw=0.9, label=label)  # fmt: skip
-        if name == "wide":
-            panel.plot(time, [(row["both_flows"] + row["number_part"]) / scale for row in own],
-                       "--", color=f"C{at}", lw=0.8)  # fmt: skip
-        if name == "gated":
-            model = [row for row in found["trains"] if row["case"] == name]
-            panel.plot([row["t"] for row in model], [row["variance_rate"] / scale for row in model],
-                       "--", color=f"C{at}", lw=0.8)  # fmt: skip
-    panel.set(xscale="log", yscale="log", xlabel="t", ylabel="variance/t over sum of flows")
+        model = [row["variance_rate"] for row in found["trains"] if row["case"] == name]
+        if not model:
+            continue
+        panel.plot(time, np.array(model[: time.size]) / scale, "--", color=f"C{at}", lw=0.8)
+        both = [one + row["number_part"] for one, row in zip(model, own, strict=False)]
+        panel.plot(time, np.array(both) / scale, ":", color=f"C{at}", lw=1.0)
+    panel.set(xscale="log", yscale="log", xlabel="t (r/v)", ylabel="variance/t over sum of flows")
     panel.legend(fontsize=6.5, loc="upper left")
 
 
