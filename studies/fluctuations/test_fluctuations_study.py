@@ -22,6 +22,7 @@ from studies.fluctuations.averages import (
 )
 from studies.fluctuations.counting import Chain, frozen_slope, renewal_chain
 from studies.fluctuations.logs import passages, round_time
+from studies.fluctuations.study import without_repeats
 from studies.fluctuations.trains import Trains, begun, powers_in_window
 
 
@@ -154,3 +155,10 @@ def test_moments_and_ratios_of_known_counts() -> None:
     slope, difference = slope_and_difference(totals, 2)
     assert slope == pytest.approx(math.log(3.0) / 2.0)
     assert difference == pytest.approx(-math.log(3.0) / 2.0)
+
+
+def test_effect_of_repeats_is_a_difference_of_slopes() -> None:
+    every, once = [2, 2, 2, 2, -2], [2, 2, -2, 0, 0]
+    value, error = without_repeats(np.array([[every, once]] * 3), 1, 2)
+    assert value == pytest.approx((math.log(4.0) - math.log(2.0)) / 2.0)
+    assert error == pytest.approx(0.0, abs=1e-12)
