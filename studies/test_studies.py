@@ -14,6 +14,7 @@ MORE = {
     "circulation_and_densities": ("postproc.theory",),
     "entropy_production": ("postproc.theory",),
     "experiments": ("postproc.accuracy.predictions", "postproc.theory"),
+    "fluctuations": ("postproc.theory",),
     "order_of_transition": ("postproc.theory",),
     "paper_statements": ("postproc.theory",),
     "where_models_fail": ("postproc.accuracy", "postproc.theory"),
