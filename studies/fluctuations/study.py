@@ -1,13 +1,8 @@
-"""Counts of channel 2 with and against the current: tables and picture of the page in this folder.
+"""Counts of channel 2 with and against the current: tables and picture of the page beside.
 
-<<<<<<< HEAD
-Quick: a tenth of the time of the namelists, a minute of a core. --full: the namelists unchanged,
-some minutes of a core and 0.1 GB.
-=======
 Quick: a tenth of the time of the namelists, three minutes of two cores. --full: as the namelists
 say, fifteen minutes of two cores, 2 GB of memory and 0.2 GB of disk. Tables that are made are kept;
 --afresh makes them again.
->>>>>>> fluctuations
 """
 
 from __future__ import annotations
@@ -112,22 +107,13 @@ def series_of(work: study.Study, name: str) -> Series:
     step = float(time[1] - time[0])
     begin = min(BEGIN.get(name, transient), 0.5 * (transient + length))
     # A run may end just before its last entry.
-<<<<<<< HEAD
-    stationary = (time > transient) & (time < time[-1])
-    net = (data.flow2_21 - data.flow2_12).to_numpy()[:, stationary] * step
-=======
     kept = (time > begin) & (time < time[-1])
     flows = [data[key].to_numpy()[:, kept] for key in ("flow2_21", "flow2_12")]
     net = (flows[0] - flows[1]) * step
->>>>>>> fluctuations
     counts = np.rint(net)
     if not np.allclose(net, counts, atol=1e-6):
         message = f"{name}: flows of an interval are no whole counts"
         raise ValueError(message)
-<<<<<<< HEAD
-    flows = [float(data[key].to_numpy()[:, stationary].mean()) for key in ("flow2_21", "flow2_12")]
-    return counts.astype(int), step, math.log(flows[0] / flows[1])
-=======
     number1 = data.urn1_number.to_numpy()[:, kept]
     polarised = name in CASES and name != "free"  # by itself: the gates are alike
     if polarised and (number1 >= 0.5 * groups["particles"]["number"]).any():
@@ -137,47 +123,11 @@ def series_of(work: study.Study, name: str) -> Series:
     more = number1[:, :-1] - number1.mean()
     response = [float((more * one[:, 1:]).mean() / (more**2).mean()) for one in flows]
     return Series(counts.astype(int), number1, means, step, tuple(response))
->>>>>>> fluctuations
 
 
 def slopes(name: str, seen: Series, times: Sequence[float] = SHORT) -> Rows:
     """Return ln[P(j)/P(-j)]/j for each length and each j that has counts enough.
 
-<<<<<<< HEAD
-
-def slopes(name: str, counts: np.ndarray, step: float, predicted: float) -> Rows:
-    """Return ln P(j)/P(-j) over j for each length and each j with enough counts."""
-    rows = []
-    for length in SHORT:
-        whole = summed(counts, round(length / step))
-        for j in range(1, 9):
-            with_, against = int((whole == j).sum()), int((whole == -j).sum())
-            if min(with_, against) >= FEWEST:
-                slope, error = math.log(with_ / against), math.sqrt(1 / with_ + 1 / against)
-                rows.append({"case": name, "t": length, "j": j, "slope": slope / j,
-                             "error": error / j, "predicted": predicted})  # fmt: skip
-    return rows
-
-
-def variances(name: str, counts: np.ndarray, step: float) -> Rows:
-    """Return the variance of counts per unit time, and 2 mean/variance, by length.
-
-    Each run is divided into parts; errors are those of means over replicas and parts.
-    """
-    rows = []
-    mean = counts.mean() / step
-    for length in LONG:
-        whole = summed(counts, round(length / step))
-        usable = whole.shape[1] // PARTS
-        if usable < 2:
-            continue
-        parts = whole[:, : usable * PARTS].reshape(-1, usable)
-        # About the mean of all: the mean of a part would remove slower fluctuations.
-        spread = ((parts - mean * length) ** 2).mean(axis=1) / length
-        rows.append({"case": name, "t": length, "current": mean, "variance_rate": spread.mean(),
-                     "error": spread.std(ddof=1) / math.sqrt(spread.size),
-                     "slope": 2.0 * mean / spread.mean()})  # fmt: skip
-=======
     `frozen` is the slope if crossings were independent, at the rates that go with the number of
     particles that urn 1 has at the beginning.
     """
@@ -201,7 +151,6 @@ def variances(name: str, counts: np.ndarray, step: float) -> Rows:
                 "difference_error": error[1],
                 "frozen": frozen_slope(many.astype(float), *rates, time, j),
             })  # fmt: skip
->>>>>>> fluctuations
     return rows
 
 
@@ -389,14 +338,6 @@ def kept(work: study.Study, name: str, make: Callable[[], Rows]) -> Rows:
 
 
 def run(work: study.Study) -> None:
-<<<<<<< HEAD
-    """Make all tables and pictures of the page."""
-    found: dict[str, Rows] = {"slopes": [], "variances": []}
-    for name in CASES:
-        counts, step, predicted = counts_of(work, name)
-        found["slopes"] += slopes(name, counts, step, predicted)
-        found["variances"] += variances(name, counts, step)
-=======
     """Make everything of the page."""
 
     @cache
@@ -412,7 +353,6 @@ def run(work: study.Study) -> None:
     found["small"] = kept(work, "small", lambda: small(work))
     found["repeats"] = kept(work, "repeats", lambda: repeated(work))
     found["chain"] = kept(work, "chain", chains)
->>>>>>> fluctuations
     for name, rows in found.items():
         work.table(name, list(rows[0]), [[_text(one) for one in row.values()] for row in rows])
     work.draw(figure(found), "fluctuations")
