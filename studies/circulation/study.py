@@ -21,8 +21,8 @@ from postproc.figures import style
 from postproc.theory import two_port
 from postproc.theory.circuit import Circuit
 from postproc.theory.models import MODELS
-from studies.circulations import TRANSIENT, circulations
-from studies.event_log import circuit_of, read_log, stories
+from studies.circulations import TRANSIENT, circulations, steepest, straight_time
+from studies.event_log import CROSSING1, CROSSING2, ENTRY, circuit_of, read_log, stories
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -30,11 +30,16 @@ if TYPE_CHECKING:
 
     from postproc.theory.circulation import Straight
     from postproc.theory.states import State
+    from studies.event_log import Circuit as Table
+    from studies.event_log import Log, Stories
 
     Floats = NDArray[np.float64]
+    Integers = NDArray[np.int64]
+    Logs = dict[str, Floats]
     Row = dict[str, float | str]
 
 ROUNDS = 2 ** np.arange(9)  # at which circulations are counted
+LAST = 7  # round up to which fates are told apart
 AGES, WIDTHS = (Path(__file__).parents[1] / f"{one}/results.csv"
                 for one in ("age_of_a_run", "narrow_channels"))  # fmt: skip
 
@@ -73,33 +78,47 @@ def state_of(circuit: Circuit, model: str = "two_port") -> State:
     return max(MODELS[model].solve_stable(circuit), key=lambda one: one.mass_spread)
 
 
-def reached(straight: Straight) -> Floats:
-    """Return how often per unit time a passage from urn 2 to 1 is the m-th round, of `ROUNDS`.
+def spread_of(log: Log, at_start: int, end: float) -> tuple[float, float]:
+    """Return mean and variance in time of the number in half 1, of which `at_start` began there."""
+    crossed = (log.kind == CROSSING1) | (log.kind == CROSSING2)
+    time = np.clip(log.time[crossed], TRANSIENT, end)
+    number = at_start - np.cumsum(np.where(log.where[crossed] == 12, 1, -1))
+    number = np.concatenate([[at_start], number])
+    lasting = np.diff(np.concatenate([[TRANSIENT], time, [end]]))
+    mean = float(number @ lasting) / lasting.sum()
+    return mean, float((number - mean) ** 2 @ lasting) / lasting.sum()
 
-    A round is a way from the middle of channel 1 through urn 2 and channel 2, without a bounce, as
-    event logs have it: what gates turn back begins anew.
+
+def fates_of(told: Stories, rounds: Integers, circuit: Table) -> Integers:
+    """Return the fates of passages from urn 2 to urn 1, round by round, shape (fate, round).
+
+    Rounds: 0 of what has not come straight, 1 ... `LAST`, and all beyond. Fates, of those that are
+    known: a wall of urn 1; turned back in gate 1; a wall of urn 2; straight to channel 2 again.
     """
-    rates = np.zeros(ROUNDS[-1] + 1)
-    for start in (0, 1):
-        draw = np.random.default_rng(1)
-        place, slope, _, weights = straight.begun(start, draw)
-        for origin, first in ((weights[0] + weights[1], 0), (weights[2], 1)):
-            if first == 1 and start == 1:
-                rates[1] += origin.sum()
-            made = np.full(slope.size, first)
-            draw = np.random.default_rng(2)
-            for _, _, left, urn, through in straight.rounds(start, place, slope, draw):
-                made[left] = np.where(through, made[left] + 1, 0)
-                down = left[(urn == 1) & (made[left] < rates.size)]
-                rates += np.bincount(made[down], origin[down], rates.size)
-    return rates[ROUNDS]
+    longest = straight_time(circuit) * math.hypot(1.0, steepest(circuit)) * (1.0 + 1e-9)
+    passes = (told.kind == CROSSING2) & (told.where == 21) & (told.time > TRANSIENT)
+    passes = np.flatnonzero(passes & (told.after >= 0))
+    into = told.after[passes]
+    until_entry = longest - 0.5 * circuit.channel1_length
+    entered = (told.kind[into] == ENTRY) & (told.where[into] == 1)
+    entered &= told.time[into] - told.time[passes] <= until_entry
+    turned = entered & np.isfinite(told.turned[into])
+    middle = np.where(entered & ~turned, told.after[into], -1)
+    last = np.where(middle >= 0, told.after[middle], -1)
+    again = (last >= 0) & (told.kind[last] == CROSSING2) & (told.where[last] == 21)
+    again &= told.time[last] - told.time[middle] <= longest
+    fate = np.select([~entered, turned, ~again], [0, 1, 2], 3)
+    known = ~entered | turned | (last >= 0)
+    which = np.minimum(rounds[passes], LAST + 1)
+    at = np.flatnonzero(known)
+    return np.bincount(fate[at] * (LAST + 2) + which[at], minlength=4 * (LAST + 2)).reshape(4, -1)
 
 
-def measured(work: study.Study, at: int, case: Case) -> tuple[Floats, Floats]:
-    """Return how often per unit time event logs have a passage as the m-th round, with errors."""
+def measured(work: study.Study, at: int, case: Case) -> Logs:
+    """Return what event logs have, by log."""
     logs, end = int(work.pick(1, 8)), work.pick(3e4, 1e5)
     number = round(1000.0 - state_of(case.circuit).urn2_number)
-    counts = np.zeros((logs, ROUNDS.size))
+    found = []
     for seed in range(logs):
         changes = {
             "table": {"channel2_width": case.channel2_width,
@@ -109,13 +128,29 @@ def measured(work: study.Study, at: int, case: Case) -> tuple[Floats, Floats]:
             "run": {"duration": end},
         }  # fmt: skip
         path = work.run("circuit", f"case_{at}_{seed}", changes, alone=True)
-        found = circulations(stories(read_log(path)), circuit_of(postproc.open_results(path)))
-        rounds = found.rounds[found.sign == 1]
-        counts[seed] = [np.count_nonzero(rounds == m) for m in ROUNDS]
+        log, circuit = read_log(path), circuit_of(postproc.open_results(path))
+        told = stories(log)
+        one = circulations(told, circuit)
+        straight = one.rounds > 0
+        fates = fates_of(told, one.all_rounds, circuit)
+        found.append({
+            "counts": [np.count_nonzero(one.rounds[one.sign == 1] == m) for m in ROUNDS],
+            "straight": one.sign[straight].sum() / (end - TRANSIENT),
+            "rest": one.sign[~straight].sum() / (end - TRANSIENT),
+            "fates": fates.tolist(), "number1": spread_of(log, number, end),
+        })  # fmt: skip
         path.unlink()
-    total = counts.sum(axis=0)
-    duration = logs * (end - TRANSIENT)
-    return total / duration, np.sqrt(np.maximum(total, 1.0)) / duration
+    return {"duration": end - TRANSIENT,
+            **{name: [one[name] for one in found] for name in found[0]}}  # fmt: skip
+
+
+def logs_of(work: study.Study, at: int) -> Logs:
+    """Return what logs of a circuit have, made now or kept from before."""
+    kept = work.kept(f"logs_{at}")
+    if kept is None or work.afresh:
+        work.keep(f"logs_{at}", measured(work, at, CASES[at]))
+        kept = work.kept(f"logs_{at}")
+    return {name: np.array(one) for name, one in kept.items()}
 
 
 def rates(work: study.Study) -> list[Row]:
