@@ -29,8 +29,8 @@ P12, or come back by the chance a: a source between the openings, to which the u
 (`response`). Beyond `ROUNDS` what is left falls as 1/m, less what the sparse gate turns back.
 
 Particles are drawn, always the same, half of them with slopes at which they may last: where a round
-shifts them by no more than whole parts of w'. So the current has a statistical error, 0.05 to 1 % of
-the net current; it is found from the scatter of groups of particles (`circulating`).
+shifts them by no more than whole parts of w'. So the current has a statistical error, 0.05 to 1 %
+of the net current; it is found from the scatter of groups of particles (`circulating`).
 """
 
 from __future__ import annotations
@@ -96,6 +96,11 @@ class Straight:
         self.entries, self.share, self.seed, self.walls = entries, share, seed, walls
         self.into_gate = entries / (2.0 * self.widths[0])
         self.in_channel = across / (2.0 * self.widths[1])
+
+    @property
+    def decay(self) -> float:
+        """Logarithm by which the sparse gate makes each round less."""
+        return -math.log(min(max(float(self.share.max()), 1e-300), 1.0 - 1e-12))
 
     def depth(self, urn: Integers, slope: Floats, draw: np.random.Generator) -> Floats:
         """Return how deep in their gates particles are turned back."""
@@ -233,6 +238,12 @@ def followed(
     return Straight(circuit, entries, across, np.array(share), seed=seed)
 
 
+def filled(terms: Floats, decay: float, rounds: Floats) -> Floats:
+    """Return the sum of terms by round, 0 to `ROUNDS` and `beyond`, to each of `rounds`."""
+    flown = np.interp(rounds, np.arange(ROUNDS + 1), np.cumsum(terms))
+    return flown + beyond(terms, decay, rounds)
+
+
 def round_time(circuit: Circuit) -> float:
     """Return how long a round takes at speed 1: across both urns and through both channels."""
     across = sum(float(sum(one.chords)) for one in circuit.sides)
@@ -265,6 +276,22 @@ def beyond(late: Floats, decay: float, rounds: Floats) -> Floats:
     return height * (ends[0] - ends[1])
 
 
+def carried(
+    straight: Straight, circuit: Circuit, urns: Sequence[Ports], age: ArrayLike = math.inf
+) -> tuple[Floats, Floats]:
+    """Return the current of `circulating` that some particles carry, and its error."""
+    rounds = np.asarray(age, float) / round_time(circuit)
+    terms = np.zeros((GROUPS, ROUNDS + 1))
+    for start in (0, 1):
+        down, up = straight.by_group(start)
+        for urn, sign in ((0, -1.0), (1, 1.0)):
+            one = urns[urn]
+            source = (1.0 - one.across) * down[:, urn] - one.return_chance * up[:, urn]
+            terms += sign * response(one) * source
+    found = np.array([filled(one, straight.decay, rounds) for one in terms])
+    return found.sum(axis=0), math.sqrt(GROUPS) * found.std(axis=0, ddof=1)
+
+
 def circulating(
     circuit: Circuit, urns: Sequence[Ports], entries: Floats, across: Floats,
     age: ArrayLike = math.inf, *, seed: int = FIRST,
@@ -285,23 +312,7 @@ def circulating(
     if float(circuit.channel2_width) == 0.0:
         return np.zeros(np.shape(age)), np.zeros(np.shape(age))
     own = np.asarray(entries, float), np.asarray(across, float)
-    straight = followed(circuit, *own, seed=seed)
-    rounds = np.asarray(age, float) / round_time(circuit)
-    decay = -math.log(min(max(float(straight.share.max()), 1e-300), 1.0 - 1e-12))
-    terms = np.zeros((GROUPS, ROUNDS + 1))
-    for start in (0, 1):
-        down, up = straight.by_group(start)
-        for urn, sign in ((0, -1.0), (1, 1.0)):
-            one = urns[urn]
-            source = (1.0 - one.across) * down[:, urn] - one.return_chance * up[:, urn]
-            terms += sign * response(one) * source
-    found = np.array(
-        [
-            np.interp(rounds, np.arange(ROUNDS + 1), np.cumsum(part)) + beyond(part, decay, rounds)
-            for part in terms
-        ]
-    )
-    return found.sum(axis=0), math.sqrt(GROUPS) * found.std(axis=0, ddof=1)
+    return carried(followed(circuit, *own, seed=seed), circuit, urns, age)
 
 
 def circulating_current(

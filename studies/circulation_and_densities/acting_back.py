@@ -75,13 +75,11 @@ def passing(circuit: Circuit, entries: Floats, across: Floats, age: float) -> Pa
     """Return what crosses urns straight at an age, if walls send `entries` and `across`."""
     straight = circulation.followed(circuit, entries, across)
     rounds = np.asarray(age / circulation.round_time(circuit))
-    decay = -math.log(min(max(float(straight.share.max()), 1e-300), 1.0 - 1e-12))
     total = np.zeros((2, 2))
     for start in (0, 1):
         for way, by_urn in enumerate(straight.passages(start)):
             for urn, terms in enumerate(by_urn):
-                flown = np.interp(rounds, np.arange(terms.size), np.cumsum(terms))
-                total[way, urn] += flown + circulation.beyond(terms, decay, rounds)
+                total[way, urn] += circulation.filled(terms, straight.decay, rounds)
     return Passing(total[0], total[1], straight.share)
 
 
