@@ -47,6 +47,7 @@ AGED = ((7, 0.01), (10, 0.0204), (12, 0.0612))  # T, w' of *The age of a run*
 EARLY, LATE = (2800.0, 8400.0), (2e4, 1e6)  # ages of runs whose current was to be explained
 OPENED = 0.03  # w' of the circuit whose rates are told apart
 NAMES = {"A": "A: 7, 7; 0.03", "B": "B: 4, 40; 0.03", "C": "C: 4, 40; 0.3", "D": "D: 4, 40; 1"}
+FEW = 8  # sets of particles that theory draws elsewhere
 LAST = 7  # round up to which fates are told apart
 AGES, WIDTHS = (Path(__file__).parents[1] / f"{one}/results.csv"
                 for one in ("age_of_a_run", "narrow_channels"))  # fmt: skip
@@ -157,6 +158,11 @@ def logs_of(work: study.Study, at: int) -> Logs:
     return kept(work, f"logs_{at}", lambda: measured(work, at, CASES[at]))
 
 
+def many(work: study.Study) -> int:
+    """Return how many sets of particles theory draws where its error matters."""
+    return int(work.pick(FEW, 24))
+
+
 def kept(work: study.Study, name: str, made: Callable[[], Logs]) -> Logs:
     """Return numbers by name, made now or kept from before."""
     if work.kept(name) is None or work.afresh:
@@ -244,14 +250,14 @@ def after_the_runs(case: Case) -> tuple[Straight, dict[str, float]]:
 def told_rates(work: study.Study, at: int) -> Logs:
     """Return what theory has of the logs of a circuit, by draw: rates, and current of rounds."""
     case = CASES[at]
-    duration, size = float(logs_of(work, at)["duration"]), int(work.pick(4, 24))
+    duration = float(logs_of(work, at)["duration"])
     flown = np.linspace(TRANSIENT, TRANSIENT + duration, 200)
     flown = flown / circulation.round_time(case.circuit)
     straight = two_port.straight_at(case.circuit, state_of(case.circuit).urn2_number)
     changed, turned = after_the_runs(case)
     found: dict[str, list[float | Floats]] = {}
-    for name, one in (("theory", straight), ("changed", changed)):
-        for draw in range(size):
+    for name, one, draws in (("theory", straight, many(work)), ("changed", changed, FEW)):
+        for draw in range(draws):
             one.seed = circulation.FIRST + draw
             rates = reached(one)
             found.setdefault(name, []).append(rates[1, ROUNDS])
@@ -334,15 +340,15 @@ def split(work: study.Study) -> list[Row]:
     rows: list[Row] = []
     for at, case in enumerate(CASES):
         logs, told = logs_of(work, at), rates_of(work, at)
-        circuit, number = MODELS["direction"].of(case.circuit), int(work.pick(4, 24))
+        circuit, number = MODELS["direction"].of(case.circuit), many(work) if at == 0 else FEW
         ages = np.linspace(TRANSIENT, TRANSIENT + float(logs["duration"]), 200)
         all_of = kept(work, f"logs_current_{at}", lambda of=circuit, ages=ages, number=number: {
             "mean": told_currents(of, ages, number)["current"].mean(axis=1)})["mean"]  # fmt: skip
         row: Row = {"circuit": case.label}
         seen = {"straight": logs["straight"], "rest": logs["rest"],
                 "total": logs["straight"] + logs["rest"]}  # fmt: skip
-        said = {"straight": told["theory_current"], "rest": all_of - told["theory_current"],
-                "total": all_of}  # fmt: skip
+        straight = told["theory_current"]
+        said = {"straight": straight, "rest": all_of - straight[: len(all_of)], "total": all_of}
         for name, values in seen.items():
             row |= dict(zip((name, f"{name}_error"), map(float, mean_of(values)), strict=True))
             names = f"{name}_theory", f"{name}_theory_error"
@@ -388,9 +394,9 @@ def aged(work: study.Study) -> dict[str, Logs]:
 
         def made(circuit: Circuit = circuit, ages: list[float] = ages) -> Logs:
             turned = reversal(circuit, direction.most_polarised(circuit))
-            asked = circuit, np.array(ages), int(work.pick(4, 24))
-            told = told_currents(*asked)
-            other = told_currents(*asked, changed=turned["fluctuating"])["current"]
+            told = told_currents(circuit, np.array(ages), many(work))
+            changed = turned["fluctuating"]
+            other = told_currents(circuit, np.array(ages), FEW, changed)["current"]
             return {**told, "changed": other, **turned}
 
         found[str(threshold)] = kept(work, f"aged_{threshold}", made)
@@ -426,7 +432,7 @@ def by_width(work: study.Study) -> list[Row]:
         )  # fmt: skip
         age = max(50.0 / width**3, 1e4) + 0.5 * float(row["time"]) / 4.0  # 4 replicas
         told = kept(work, f"width_{at}", lambda of=circuit, age=age: told_currents(
-            of, np.array([age]), int(work.pick(4, 24))))  # fmt: skip
+            of, np.array([age]), many(work)))  # fmt: skip
         (theory,), (error,) = mean_of(told["current"])
         seen, off = float(row["current"]), float(row["current_error"])
         around = theory - float(told["without"])
