@@ -155,7 +155,7 @@ def known() -> list[tuple[Case, float, Row]]:
 def told(work: study.Study, name: str, case: Case, age: float) -> Row:
     """Return `predicted`, made now or kept from before."""
     if work.kept(name) is None or work.afresh:
-        work.keep(name, predicted(case, age, int(work.pick(3, 20))))
+        work.keep(name, predicted(case, age, int(work.pick(3, 8))))
     return work.kept(name)
 
 
