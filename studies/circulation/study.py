@@ -489,10 +489,13 @@ def checks(work: study.Study, tables: dict[str, list[Row]]) -> list[Row]:
     add("current by rounds, 6 other logs", (0.0360, 0.0065), mean_of(straight["theory_current"]))
     add("the rest, 6 other logs", (0.9762, 0.0017),
         mean_of(whole["mean"] - straight["theory_current"]))  # fmt: skip
-    add("turned back in gate 1 per round, 96 of 6.2e5", (1.55e-4, 0.16e-4),
-        (float(straight["cosine"]), 0.0))  # fmt: skip
-    add("the same with what was found after the runs", (1.55e-4, 0.16e-4),
-        (float(straight["fluctuating"]), 0.0))  # fmt: skip
+    last = tables["gates"][-1]
+    number, rounds = (float(last[name]) for name in ("reversed_of_rounds", "of_rounds"))
+    here = number / rounds, math.sqrt(max(number, 1.0)) / rounds
+    for name, theory in (("", "cosine"), (", changed", "fluctuating")):
+        known = float(straight[theory]), 0.0
+        add(f"reversed by gate 1 per round, other logs{name}", (1.55e-4, 0.16e-4), known)
+        add(f"reversed by gate 1 per round, here, all l'{name}", here, (last[theory], 0.0))
     return rows
 
 
