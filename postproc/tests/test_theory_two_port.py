@@ -322,15 +322,14 @@ def test_nothing_goes_round_between_equal_urns() -> None:
 
 def test_error_of_what_circulates_is_the_scatter_of_other_particles() -> None:
     """Of six sets; the scatter is known to a third, the mean error to a tenth."""
-    at, urns = two_port.balance(PAPER, 35.0), [ports.disc(PAPER)] * 2
-    flows = at.entries[:, 0], at.across[:, 0]
-    found = np.array(
-        [circulation.circulating(PAPER, urns, *flows, 1e5, seed=seed) for seed in range(1, 7)]
-    )
-    assert 0.4 < found[:, 0].std(ddof=1) / found[:, 1].mean() < 1.8
-    assert found[0, 0] == float(circulation.circulating_current(PAPER, urns, *flows, 1e5))
-    [root] = two_port.stationary_states(PAPER)[-1:]
-    assert root.net_current_error == pytest.approx(found[:, 1].mean(), rel=0.5)
+    root, urns, found = two_port.stationary_states(PAPER)[-1], [ports.disc(PAPER)] * 2, []
+    straight = two_port.straight_at(PAPER, root.urn2_number)
+    for seed in range(1, 7):
+        straight.seed = seed
+        found.append([float(one) for one in circulation.carried(straight, PAPER, urns)])
+    currents, errors = np.array(found).T
+    assert 0.4 < currents.std(ddof=1) / errors.mean() < 1.8
+    assert (root.circulating_current, root.net_current_error) == pytest.approx(found[0], rel=1e-6)
 
 
 def test_walls_send_what_they_are_said_to() -> None:

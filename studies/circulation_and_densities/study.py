@@ -225,8 +225,8 @@ def figure(rows: list[Row]) -> Figure:
             )  # fmt: skip
             axes.errorbar(change, seen - said, error, off, fmt=mark, ms=4.0, lw=0.8, mfc="none",
                           label=f"{kind} runs")  # fmt: skip
-            ends += [*change, *(seen - said)]
-        least, most = min(ends) - 0.08 * np.ptp(ends), max(ends) + 0.08 * np.ptp(ends)
+            ends += [*change, *(seen - said - error), *(seen - said + error)]
+        least, most = min(ends) - 0.04 * np.ptp(ends), max(ends) + 0.04 * np.ptp(ends)
         axes.axhline(0.0, color="black", lw=0.8, ls=":", label="direction")
         axes.axline((0.0, 0.0), slope=1.0, color="black", lw=0.8, label="changed")
         axes.set(xlabel=f"change by circulation: {title}", ylabel=f"runs less direction: {title}",
