@@ -303,7 +303,7 @@ def test_walls_send_by_the_cosine_law_where_all_is_filled_evenly(width: float, o
 
 
 def test_walls_of_the_sparse_urn_send_half_as_much_along_the_axis() -> None:
-    """0.52 +- 0.03 by the first rounds of studies/circulation, at T = 7, w' = 0.01."""
+    """0.52 +- 0.03 by how often circulations make a first round in runs, T = 7, w' = 0.01."""
     circuit = MODELS["direction"].of(Circuit(1000, 7))
     walls = direction.from_walls(circuit, direction.most_polarised(circuit))
     assert np.all(np.abs(walls(0, np.array([0.0, 0.03, 0.06])) - 0.55) < 0.06)

@@ -187,6 +187,8 @@ def summary(rows: list[Row]) -> list[Row]:
     }
     found = []
     for name, own in chosen.items():
+        if not own:
+            continue
         for what in ("chi", "current"):
             whole = np.array([1.0 if what == "chi" else row["direction_current"] for row in own])
             seen, said, change, error = (
