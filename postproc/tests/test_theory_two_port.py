@@ -320,6 +320,29 @@ def test_nothing_goes_round_between_equal_urns() -> None:
     assert around == pytest.approx(0.0, abs=1e-12)
 
 
+def test_error_of_what_circulates_is_the_scatter_of_other_particles() -> None:
+    """Of six sets; the scatter is known to a third, the mean error to a tenth."""
+    root, urns, found = two_port.stationary_states(PAPER)[-1], [ports.disc(PAPER)] * 2, []
+    straight = two_port.straight_at(PAPER, root.urn2_number)
+    for seed in range(1, 7):
+        straight.seed = seed
+        found.append([float(one) for one in circulation.carried(straight, PAPER, urns)])
+    currents, errors = np.array(found).T
+    assert 0.4 < currents.std(ddof=1) / errors.mean() < 1.8
+    assert (root.circulating_current, root.net_current_error) == pytest.approx(found[0], rel=1e-6)
+
+
+def test_walls_send_what_they_are_said_to() -> None:
+    """Half as much along the axis: half as many come from walls through channel 1."""
+    sent, share = (np.array([1.0, 20.0]), np.array([0.1, 1.0])), np.array([0.9, 0.2])
+    halved = circulation.Straight(PAPER, *sent, share, walls=lambda _, slope: 0.5 + 0.0 * slope)
+    usual = circulation.Straight(PAPER, *sent, share)
+    found, expected = (
+        one.begun(1, np.random.default_rng(3))[3].sum(axis=1) for one in (halved, usual)
+    )
+    assert found == pytest.approx(expected * np.array([1.0, 0.5, 0.5]), rel=1e-12)
+
+
 @pytest.mark.parametrize("model", ["two_port", "direction"])
 def test_circulations_fill_up_with_the_age_of_a_run(
     model: str, capsys: pytest.CaptureFixture[str]

@@ -37,13 +37,13 @@ from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy import optimize
+from scipy import integrate, optimize
 
 from postproc.progress import doing
 from postproc.theory import fate, ports
 from postproc.theory.chain import between
 from postproc.theory.circuit import Circuit
-from postproc.theory.circulation import circulating_current
+from postproc.theory.circulation import FIRST, circulating
 from postproc.theory.ports import stays
 from postproc.theory.states import State
 from postproc.theory.visits import NARROW, visits
@@ -53,10 +53,13 @@ if TYPE_CHECKING:
 
     from numpy.typing import ArrayLike, NDArray
 
+    from postproc.theory.circulation import Walls
+
     Floats = NDArray[np.float64]
 
 POLYNOMIALS = 12
 DIFFUSION = 1.0 / 6.0 - 1.0 / math.pi**2  # D of narrow openings, in (w/r)^2 per visit
+BEAM = 2001  # places in s at which what comes straight from channel 2 is taken
 NARROWEST = 1e-6  # width of channel 2, in radii, that represents a closed one
 ROUNDS = 80  # at most, of the iteration of gates and flows
 AGREED = 1e-5  # change of q, and of flows relative to the largest, at which it ends
@@ -368,30 +371,71 @@ def _held_states(circuit: Circuit) -> list[tuple[Held, str]]:
     return found
 
 
-def _circulating(circuit: Circuit, held: Held, age: ArrayLike = math.inf) -> Floats:
+def most_polarised(circuit: Circuit) -> Held | None:
+    """Return the circuit held in its most polarised stable state, None without one."""
+    stable = [held for held, kind in _held_states(circuit) if kind == "stable"]
+    return max(stable, key=lambda one: abs(one.in_half[1] - one.in_half[0]), default=None)
+
+
+def around(
+    circuit: Circuit, held: Held, age: ArrayLike = math.inf, *, seed: int = FIRST
+) -> tuple[Floats, Floats]:
+    """Return the circulating current of a held circuit at each age, and its standard error."""
     urns = [ports.disc(side) for side in circuit.sides]
-    return circulating_current(circuit, urns, held.entries[:, 0], held.across[:, 0], age)
+    flows = held.entries[:, 0], held.across[:, 0]
+    return circulating(circuit, urns, *flows, age, seed=seed)
+
+
+def from_walls(circuit: Circuit, held: Held) -> Walls:
+    """Return what walls of an urn send into channel 1 along a line, over the cosine law's e/(2w).
+
+    By urn (0, 1) and slope. F, less what comes straight from channel 2, the share of H of the other
+    urn that meets channel 1; of all lines at that slope those that come from there are left out.
+    Density in place is taken as even, and a beam as `POLYNOMIALS` show it.
+    """
+    width1, width2 = float(circuit.channel1_width), float(circuit.channel2_width)
+
+    def common(urn: int, slope: Floats) -> Floats:
+        """Return the width in which channel 2, shifted by an urn's way across, meets channel 1."""
+        shift = slope * float(sum(circuit.sides[urn].chords))
+        upper = np.minimum(0.5 * width1, 0.5 * width2 + shift)
+        return np.maximum(upper - np.maximum(-0.5 * width1, shift - 0.5 * width2), 0.0)
+
+    expansions = []
+    for urn in (0, 1):
+        steepest = 0.5 * (width1 + width2) / float(sum(circuit.sides[urn].chords))
+        sine = np.linspace(0.0, steepest / math.hypot(1.0, steepest), BEAM)
+        basis = polynomials(sine)
+        sent = np.maximum(held.across[1 - urn] @ basis, 0.0)
+        beam = common(urn, sine / np.sqrt(1.0 - sine**2)) / max(width2, 1e-300) * sent
+        straight = integrate.simpson(basis * beam, x=sine)
+        expansions.append((held.entries[urn] - straight) / held.entries[urn, 0])
+
+    def walls(urn: int, slope: Floats) -> Floats:
+        along = expansions[urn] @ polynomials(slope / np.sqrt(1.0 + slope**2))
+        return np.maximum(along, 0.0) / (1.0 - common(urn, slope) / width1)
+
+    return walls
 
 
 def stationary_states(circuit: Circuit) -> list[State]:
     """Return all states of a circuit, for equal urns those with N2 > N/2 (chi above 0.02)."""
     number, found = float(circuit.number), []
     for held, kind in _held_states(circuit):
-        around, second = float(_circulating(circuit, held)), float(held.in_half[1])
+        (current, error), second = map(float, around(circuit, held)), float(held.in_half[1])
         chi = abs(2.0 * second - number) / number
-        found.append(State(second, kind, chi, held.net_current + around, around))
+        total = held.net_current + current
+        found.append(State(second, kind, chi, total, current, net_current_error=error))
     return found
 
 
 def by_age(circuit: Circuit, ages: Sequence[float]) -> list[dict[str, float]]:
     """Return the net current of runs of each age in the most polarised stable state, if any."""
-    stable = [held for held, kind in _held_states(circuit) if kind == "stable"]
-    if not stable:
+    held = most_polarised(circuit)
+    if held is None:
         return []
-    held = max(stable, key=lambda one: abs(one.in_half[1] - one.in_half[0]))
-    around = _circulating(circuit, held, ages)
     return [{"age": age, "net_current": held.net_current + float(one)}
-            for age, one in zip(ages, around, strict=True)]  # fmt: skip
+            for age, one in zip(ages, around(circuit, held, ages)[0], strict=True)]  # fmt: skip
 
 
 def flows(circuit: Circuit, number2: float) -> Floats:

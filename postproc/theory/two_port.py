@@ -23,7 +23,7 @@ import numpy as np
 from scipy import optimize
 
 from postproc.theory import ports
-from postproc.theory.circulation import circulating_current, followed
+from postproc.theory.circulation import circulating, circulating_current, followed
 from postproc.theory.states import State, crossings, places_of
 
 if TYPE_CHECKING:
@@ -195,10 +195,13 @@ def stationary_states(circuit: Circuit, memory: Memory = ports.disc) -> list[Sta
         second = float(at.in_half[1, 0])
         state = State(second, kind, abs(2.0 * second - number) / number, float(at.net_current[0]))
         if memory is ports.disc:
-            around = float(circulating_current(circuit, urns, at.entries[:, 0], at.across[:, 0]))
-            state = replace(
-                state, net_current=state.net_current + around, circulating_current=around
+            around, error = map(
+                float, circulating(circuit, urns, at.entries[:, 0], at.across[:, 0])
             )
+            state = replace(
+                state, net_current=state.net_current + around, circulating_current=around,
+                net_current_error=error,
+            )  # fmt: skip
         found.append(state)
     return found
 

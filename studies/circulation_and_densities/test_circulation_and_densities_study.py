@@ -8,7 +8,7 @@ import pytest
 from postproc.theory import two_port
 from postproc.theory.models import MODELS
 from studies.circulation_and_densities import acting_back
-from studies.circulation_and_densities.study import Case
+from studies.circulation_and_densities.study import Case, summary
 
 NEAR = Case((12, 12), 0.3, 0.0612)
 
@@ -36,7 +36,7 @@ def test_urns_send_as_much_as_they_receive() -> None:
 
 
 def test_nothing_changes_in_a_circuit_with_open_gates() -> None:
-    """Phase space is filled uniformly: straight passages are those of `two_port`, to 0.5 %."""
+    """All is filled evenly: straight passages are those of two ports; 0.5 % of them is noise."""
     circuit = MODELS["two_port"].of(Case((1000, 1000), 0.3, 0.0612).circuit)
     at = two_port.balance(circuit, 500.0)
     entries, across = at.entries[:, 0], at.across[:, 0]
@@ -46,7 +46,25 @@ def test_nothing_changes_in_a_circuit_with_open_gates() -> None:
 
 def test_chi_next_to_the_transition_is_nearer_to_that_of_runs() -> None:
     """0.5527 +- 0.0002 in studies/age_of_a_run; `direction` alone has 0.5567."""
-    without, acting = acting_back.solved(NEAR.circuit, 7e4)
+    without, (acting,) = acting_back.solved(NEAR.circuit, 7e4)
     change = acting.mass_spread - without.mass_spread
     assert change == pytest.approx(-0.0042, abs=0.0008)
     assert 0.55672 + change == pytest.approx(0.5527, abs=0.001)
+
+
+def test_other_particles_change_chi_by_as_much() -> None:
+    without, acting = acting_back.solved(NEAR.circuit, 7e4, 3)
+    changes = [one.mass_spread - without.mass_spread for one in acting]
+    assert len(set(changes)) == 3
+    assert changes == pytest.approx([np.mean(changes)] * 3, rel=0.2)
+
+
+def test_summary_counts_what_kept_its_polarity() -> None:
+    row = {"runs": "new", "polarity": "kept", "chi": 0.5, "chi_error": 0.001, "current": 2.0,
+           "current_error": 0.01, "direction_chi": 0.502, "direction_current": 2.0,
+           "chi_change": -0.001, "current_change": 0.02}  # fmt: skip
+    [chi, current, *_] = summary([row, row | {"polarity": "changed", "chi": 0.1}])
+    assert (chi["number"], chi["nearer"], chi["sign"]) == ("1", "1", "1")
+    assert chi["rms_before"] == pytest.approx(0.002)
+    assert chi["squares_after"] == pytest.approx(1.0)
+    assert current["rms_after"] == pytest.approx(0.01)
