@@ -46,23 +46,27 @@ def load(one: Circuit) -> float:
     return float(held.entries[0, 0]) * math.pi * float(one.channel1_length) / 4.0
 
 
-def load_with_discs(threshold: int, reach: float, number: int, radius: float) -> float:
-    """Return the load of the homogeneous Lorentz circuit, its channels' particles counted.
+def load_beside(threshold: int, reach: float, number: int, area2: float) -> float:
+    """Return the load of the homogeneous state if channel 2 has the free area `area2`.
 
-    The density is the same everywhere but in gates; channel 2 is 0.2 wide, 1 long, with 15 discs.
+    The density is the same everywhere but in gates, whatever channel 2 is.
     """
     one = circuit(threshold, reach, number, NARROWEST)
     area, length = float(one.urn_area), float(one.channel1_length)
-    beside = WIDTH2_OF_DISCS - DISCS * math.pi * radius**2  # area of channel 2 outside its discs
 
     def total(inside: float) -> float:
         own = inside * WIDTH * length / (4.0 * area)
         share = float(RENEWAL.share(threshold, own))
         gates = 2.0 * (1.0 - share) * min(threshold, own) + 4.0 * share * own
-        return 2.0 * inside + gates + inside * beside / area - number
+        return 2.0 * inside + gates + inside * area2 / area - number
 
     inside = optimize.brentq(total, 1e-3 * number, 0.5 * number)
     return inside * WIDTH * length / (4.0 * area)
+
+
+def load_with_discs(threshold: int, reach: float, number: int, radius: float) -> float:
+    """Return it for the Lorentz circuit: channel 2 is 0.2 wide, 1 long, with 15 discs."""
+    return load_beside(threshold, reach, number, WIDTH2_OF_DISCS - DISCS * math.pi * radius**2)
 
 
 @dataclass(frozen=True)

@@ -39,6 +39,7 @@ LONG = 8.0  # lengths
 BINS = [f"bin {k}" for k in range(samples.BINS.size - 1)]
 RUN_FIELDS = ["circuit", "T", "N", "l", "w'", "time", "start", "replica", "chi", "m2", "m4",
               "passages", "left at", "correlation time", *BINS]  # fmt: skip
+SIGNIFICANT = 3.0  # errors of a barrier: less is none
 PASSED = 2  # passages a run, on average, from which on a barrier is given
 NOTHING = dict.fromkeys(
     ("w'", "barrier", "barrier_error", "barrier_bias", "passages"), math.nan
@@ -62,6 +63,8 @@ LATER = (
     Later("A", 5, 1000, 250, (0.0300, 0.0316, 0.0332, 0.0348, 0.0364, 0.0380), LONG),
     Later("A", 5, 1000, 500, (0.0284, 0.0292, 0.0300, 0.0308, 0.0324, 0.0340), LONG),
     Later("A", 5, 1000, 1000, (0.0268, 0.0276, 0.0284, 0.0292, 0.0300), LONG),
+    Later("A", 5, 1000, 250, (0.0284, 0.0292), LONG, label="narrower"),
+    Later("A", 5, 1000, 1000, (0.0308, 0.0324), LONG, label="wider"),
     Later("A", 5, 1000, 1500, (0.0276, 0.0284), LONG),
     Later("A", 5, 1000, 8000, (0.0244, 0.0260, 0.0276, 0.0292)),
     Later("D", 28, 4000, 1000, (0.074, 0.077, 0.080, 0.083), LONG),
@@ -75,6 +78,8 @@ LATER = (
     Later("V", 64, 4169, 8000, (0.002, 0.004, 0.006)),
     Later("V", 64, 4169, 8000, (0.008, 0.010), label="wider"),
     Later("V", 64, 4120, 16000, (0.002, 0.004, 0.006)),
+    Later("V", 64, 4095, 32000, (0.001,), label="narrower"),
+    Later("V", 64, 4095, 32000, (0.0025, 0.0035)),
     Later("W", 64, 4300, 8000, (0.004, 0.008)),
     Later("W", 64, 4300, 8000, (0.012, 0.016, 0.020, 0.024), label="wider"),
     Later("W", 64, 4250, 16000, (0.004, 0.008)),
@@ -86,6 +91,7 @@ PREDICTED = (  # name, T, N l, N
     *(("D", 28, 4000, number) for number in (1000, 2000, 4000, 8000)),
     ("U", 64, 4200, 16000),
     ("V", 64, 4272, 4000), ("V", 64, 4169, 8000), ("V", 64, 4120, 16000),
+    ("V", 64, 4095, 32000),
     ("W", 64, 4300, 8000), ("W", 64, 4250, 16000),
 )  # fmt: skip
 DIRECTED = (  # name, T, N l, N, w'
@@ -165,6 +171,12 @@ def _key(run: Row) -> Key:
     return run["circuit"], run["N"], run["w'"]
 
 
+def _cumulant(sums: Floats) -> float:
+    """Return Binder's cumulant of sums of <m^2>, <m^4> and 1 over runs."""
+    second, fourth = sums[:2] / sums[2]
+    return float(1.0 - fourth / (3.0 * second**2))
+
+
 def widths_of(found: list[Row]) -> list[Row]:
     """Return one line for each circuit, N and w' of runs.csv, and their errors over runs."""
     table: list[Row] = []
@@ -177,9 +189,9 @@ def widths_of(found: list[Row]) -> list[Row]:
             row[f"chi_{label}"], row[f"chi_{label}_error"] = samples.with_error(chi)
             row[f"kept_{label}"] = sum(math.isnan(one["left at"]) for one in mine)
         counts = np.array([[one[key] for key in BINS] for one in own])
-        moments = np.array([[one["m2"], one["m4"]] for one in own])
+        moments = np.array([[one["m2"], one["m4"], 1.0] for one in own])
         deep = samples.bootstrap(samples.barrier, counts)
-        low = samples.bootstrap(lambda two: float(1.0 - two[1] / (3.0 * two[0] ** 2)), moments)
+        low = samples.bootstrap(_cumulant, moments)
         row |= {"cumulant": low.value, "cumulant_error": low.error, "barrier": deep.value,
                 "barrier_error": deep.error, "barrier_bias": deep.bias,
                 "passages": int(sum(one["passages"] for one in own)),
@@ -195,28 +207,38 @@ def sizes_of(found: list[Row], table: list[Row], predicted: list[Row]) -> list[R
         own = sorted((one for one in table if one["circuit"] == name and one["N"] == number),
                      key=lambda one: one["w'"])  # fmt: skip
         told = next(one for one in predicted if one["circuit"] == name and one["N"] == number)
-        width = np.array([one["w'"] for one in own])
-        counts = np.array([
-            [[one[key] for key in BINS] for one in found if _key(one) == (name, number, at)]
-            for at in width
-        ])  # fmt: skip
-        # so that weights are not those of the starts; fewer: no barrier is given
+        # so that weights are not those of the starts; fewer passages: no barrier is given
         turns = [one for one in own if one["passages"] >= PASSED * one["runs"]]
         deep = max(turns, key=lambda one: one["barrier"], default=NOTHING)
         low = min(own, key=lambda one: one["cumulant"])
-        half = samples.bootstrap(
-            lambda one, width=width: samples.equal_weight(width, one), counts.transpose(1, 0, 2)
-        )
-        sizes.append({
-            "circuit": name, "T": own[0]["T"], "N": number, "barrier": deep["barrier"],
-            "barrier_error": deep["barrier_error"], "barrier_bias": deep["barrier_bias"],
-            "barrier_at": deep["w'"], "barrier_edge": _edge(deep, own),
-            "passages": deep["passages"], "predicted, channels": told["barrier"],
-            "cumulant": low["cumulant"], "cumulant_error": low["cumulant_error"],
-            "cumulant_at": low["w'"], "cumulant_edge": _edge(low, own), "equal": half.value,
-            "equal_error": half.error, "equal, channels": told["w' equal"],
-        })  # fmt: skip
+        row = {"circuit": name, "T": own[0]["T"], "N": number, "barrier": deep["barrier"],
+               "barrier_error": deep["barrier_error"], "barrier_bias": deep["barrier_bias"],
+               "barrier_at": deep["w'"], "barrier_edge": _edge(deep, own),
+               "passages": deep["passages"], "predicted, channels": told["barrier"],
+               "cumulant": low["cumulant"], "cumulant_error": low["cumulant_error"],
+               "cumulant_at": low["w'"], "cumulant_edge": _edge(low, own)}  # fmt: skip
+        row |= dict.fromkeys(("equal", "equal_error", "barrier_equal", "mode_equal"), math.nan)
+        row |= {"equal, channels": told["w' equal"], "jump, channels": told["jump"]}
+        if deep["barrier"] > SIGNIFICANT * deep["barrier_error"]:
+            width = np.array([one["w'"] for one in turns])
+            counts = np.array([
+                [[one[key] for key in BINS] for one in found if _key(one) == (name, number, at)]
+                for at in width
+            ])  # fmt: skip
+            half = samples.bootstrap(
+                lambda one, width=width: samples.equal_weight(width, one),
+                counts.transpose(1, 0, 2),
+            )
+            modes = [samples.upper_mode(one.sum(axis=0)) for one in counts]
+            row |= {"equal": half.value, "equal_error": half.error,
+                    "barrier_equal": _between(half.value, width, turns),
+                    "mode_equal": float(np.interp(half.value, width, modes))}  # fmt: skip
+        sizes.append(row)
     return sizes
+
+
+def _between(at: float, width: Floats, rows: list[Row]) -> float:
+    return float(np.interp(at, width, [one["barrier"] for one in rows]))
 
 
 def _edge(one: Row, own: list[Row]) -> str:

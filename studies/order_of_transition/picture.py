@@ -18,9 +18,10 @@ if TYPE_CHECKING:
 
     Row = dict[str, object]
 
-NUMBERS = (250, 500, 1000, 1500, 2000, 4000, 8000, 16000)
+NUMBERS = (250, 500, 1000, 1500, 2000, 4000, 8000, 16000, 32000)
 COLOURS = dict(zip(NUMBERS, (style.ORANGE, style.BROWN, style.BLUE, style.BLACK, style.VERMILION,
-                             style.GREEN, style.PURPLE, style.VIOLET), strict=True))  # fmt: skip
+                             style.GREEN, style.PURPLE, style.VIOLET,
+                             style.SKY), strict=True))  # fmt: skip
 LOOKS = {"equal": {"ls": "-", "marker": "o"}, "full": {"ls": "--", "marker": "s"}}
 TITLES = {
     "A": "A: T = 5, x = 2.27 to 2.37 T", "B": "B: T = 7, x = 1.66, 1.68 T",

@@ -111,7 +111,7 @@ class Bootstrap:
 
 
 def bootstrap(function: Callable[[Floats], float], runs: Floats, seed: int = 1) -> Bootstrap:
-    """Return a function of the mean over runs, and its error by drawing runs with repetition.
+    """Return a function of the sum over runs, and its error by drawing runs with repetition.
 
     Parameters
     ----------
@@ -120,10 +120,10 @@ def bootstrap(function: Callable[[Floats], float], runs: Floats, seed: int = 1) 
     seed : of the drawing.
     """
     drawn = np.random.default_rng(seed).integers(0, len(runs), (RESAMPLES, len(runs)))
-    found = np.array([function(runs[own].mean(axis=0)) for own in drawn])
+    found = np.array([function(runs[own].sum(axis=0)) for own in drawn])
     found = found[np.isfinite(found)]
-    value = float(function(runs.mean(axis=0)))
-    if not found.size:
+    value = float(function(runs.sum(axis=0)))
+    if not found.size or math.isnan(value):
         return Bootstrap(value, math.nan, math.nan)
     return Bootstrap(value, float(found.std()), float(found.mean() - value))
 
@@ -148,6 +148,17 @@ def equal_weight(widths: Floats, counts: Floats) -> float:
         return math.nan
     at = slice(falls[-1], falls[-1] + 2)
     return float(np.interp(0.0, -odds[at], widths[at]))
+
+
+def upper_mode(counts: Floats) -> float:
+    """Return |m| of the mode beyond the minimum, by a parabola through ln of three bins."""
+    wall = minimum(counts)[0]
+    top = wall + int(counts[wall:].argmax())
+    middles = 0.5 * (BINS[:-1] + BINS[1:])
+    if not 0 < top < counts.size - 1:
+        return float(middles[top])
+    low, here, high = np.log(np.maximum(counts[top - 1 : top + 2], 0.5))
+    return float(middles[top] + 0.5 * (BINS[1] - BINS[0]) * (low - high) / (low - 2 * here + high))
 
 
 @dataclass(frozen=True)
