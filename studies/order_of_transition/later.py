@@ -107,7 +107,9 @@ CROSSED = ("B", "C")
 
 
 def text(value: object) -> str:
-    """Return a number with four digits, anything else as it is."""
+    """Return a number with four digits (a whole one with all), anything else as it is."""
+    if isinstance(value, float) and value.is_integer() and abs(value) < 1e6:
+        return str(int(value))
     return f"{value:.4g}" if isinstance(value, float) else str(value)
 
 

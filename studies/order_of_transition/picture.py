@@ -89,9 +89,9 @@ def _barriers(axes: Axes, work: Study) -> None:
         lines = [row for row in told if row["circuit"] == name and row["N"] <= 4000]
         axes.plot([row["N"] for row in lines], [row["barrier"] for row in lines], f"{mark}--",
                   lw=0.9, ms=3, mfc="none", color=colour, label=f"{name}, predicted")  # fmt: skip
-    axes.set(xlabel="N", ylabel="barrier of ln P", ylim=(0, 20), xlim=(0, 4300),
-             title="barriers, largest over w'")  # fmt: skip
-    axes.legend(fontsize=6, frameon=False)
+    axes.set(xlabel="N", ylabel="barrier of ln P", ylim=(0.4, 60), xlim=(200, 5000),
+             xscale="log", yscale="log", title="barriers, largest over w'")  # fmt: skip
+    axes.legend(fontsize=6, frameon=False, loc="upper left")
 
 
 def draw(work: Study) -> None:
