@@ -28,6 +28,7 @@ TITLES = {
     "C": "C: T = 10, x = 1.14, 1.17 T", "D": "D: T = 28, x = 1.58 to 1.67 T",
     "V": "V: T = 64, x = 0.76 T", "W": "W: T = 64, x = 0.78 T",
 }  # fmt: skip
+BARRIER_TICKS = (250, 500, 1000, 2000, 4000)
 TOP, STEP = 1.03, 0.03  # chi, where bars of the predicted ranges are
 
 
@@ -91,6 +92,8 @@ def _barriers(axes: Axes, work: Study) -> None:
                   lw=0.9, ms=3, mfc="none", color=colour, label=f"{name}, predicted")  # fmt: skip
     axes.set(xlabel="N", ylabel="barrier of ln P", ylim=(0.4, 60), xlim=(200, 5000),
              xscale="log", yscale="log", title="barriers, largest over w'")  # fmt: skip
+    axes.set_xticks(BARRIER_TICKS, [str(number) for number in BARRIER_TICKS])
+    axes.minorticks_off()
     axes.legend(fontsize=6, frameon=False, loc="upper left")
 
 
