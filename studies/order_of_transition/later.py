@@ -104,6 +104,8 @@ DIRECTED = (  # name, T, N l, N, w'
 DISCS = (("L7", 7, 1000, 4000, 0.016), ("L28", 28, 4000, 4000, 0.012))
 SCALED = {"A": (250, 500, 1000), "D": (1000, 2000, 4000)}  # N of the fits of barriers
 CROSSED = ("B", "C")
+LEFT = (("W", 64, 4300, 8000), ("W", 64, 4250, 16000))  # and at which w':
+LEFT_AT = (0.004, 0.008)
 
 
 def text(value: object) -> str:
@@ -294,6 +296,23 @@ def crossings_of(results: list[Row]) -> list[Row]:
     return found
 
 
+def leaving_of(found: list[Row]) -> list[Row]:
+    """Return what should keep equal urns within the second range, and when runs left them."""
+    table: list[Row] = []
+    for name, threshold, reach, number in LEFT:
+        for width in LEFT_AT:
+            own = channels.weight(channels.circuit(threshold, reach, number, width))
+            wall, mode, _ = own.wells
+            times = [one["left at"] for one in found
+                     if (*_key(one), one["start"]) == (name, number, width, STARTS[0])]  # fmt: skip
+            table.append({"circuit": name, "N": number, "w'": width,
+                          "barrier predicted": -float(own.log[wall]),
+                          "chi predicted": float(own.spread[mode]),
+                          "first left at": min(times), "last left at": max(times),
+                          "runs": len(times)})  # fmt: skip
+    return table
+
+
 def predicted(work: Study) -> None:
     """Write finite.csv: the prediction with particles in the channels, for each N."""
     found: list[Row] = []
@@ -326,7 +345,7 @@ def directions(work: Study) -> None:
 
 
 def tables(work: Study) -> None:
-    """Write later.csv, later_sizes.csv, barrier_lines.csv, crossings.csv."""
+    """Write later.csv, later_sizes.csv, barrier_lines.csv, crossings.csv, leaving.csv."""
     found = read(work, "runs")
     table = widths_of(found)
     sizes = sizes_of(found, table, read(work, "finite"))
@@ -336,6 +355,8 @@ def tables(work: Study) -> None:
     if lines:
         _table(work, "barrier_lines", lines)
     _table(work, "crossings", crossings_of(read(work, "results")))
+    if work.full:
+        _table(work, "leaving", leaving_of(found))
 
 
 def _table(work: Study, name: str, rows: Sequence[Row]) -> None:

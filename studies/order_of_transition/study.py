@@ -8,7 +8,7 @@ urns and from one nearly full; and the Lorentz circuit, T = 7 and 28. Parts, in 
     predicted   finite.csv: with particles in the channels, for each N; no runs
     directions  directions.csv: the theory with memory of directions; no runs
     runs        runs.csv: later runs, with the histogram of each of them
-    tables      later.csv, later_sizes.csv, barrier_lines.csv, crossings.csv: from tables, no runs
+    tables      later.csv, later_sizes.csv, barrier_lines.csv, crossings.csv, leaving.csv: no runs
     picture     order_of_transition.png, from tables
 
 A part that needs a table that was not made takes the one beside the page. Quick: two replicas from
