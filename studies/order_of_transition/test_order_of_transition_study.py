@@ -84,7 +84,8 @@ def test_a_large_circuit_has_particles_in_channel_2_alone() -> None:
     assert found.homogeneous == pytest.approx(prediction.width_of(known.homogeneous), rel=0.01)
     assert found.polarised == pytest.approx(prediction.width_of(known.polarised), rel=0.01)
     assert found.equal == pytest.approx(prediction.width_of(known.equal), rel=0.02)
-    assert found.barrier / number == pytest.approx(known.barrier, rel=0.1)
+    # `prediction` has k times the load for the flow through channel 2, `two_port` less: w'/w
+    assert found.barrier / number == pytest.approx(known.barrier, rel=0.15)
     assert found.jump == pytest.approx(known.jump, abs=0.03)
 
 
