@@ -1,12 +1,12 @@
-"""The order of the transition by the renewal gate: the curve k(d).
+"""The order of the transition by the gate's rule: the curve k(d).
 
-One gate has the load x + d, the other x - d, and the flow J(x) = x q(x) gets through. For urns
-without memory, or with memory of the opening of entry only, loads are linear in the inflows. So the
-sum of both loads is fixed, and channel 2 carries k times their difference. A state has
+A gate is fed at a load x + d, the other at x - d, and lets J(x) = x q(x) through. Urns that
+remember nothing, or the opening of entry alone, give loads back that are linear in what comes in.
+So the sum of both loads is fixed, and channel 2 carries k times their difference. A state has
 
     k = k(d) = -(J(x + d) - J(x - d))/(2 d),     k(0) = -J'(x),
 
-and is stable where k(d) decreases. For well mixed urns k = w'/w, for two ports P12/(1 + a - 2 P12).
+and is stable where k(d) falls. For well mixed urns k = w'/w, for two ports P12/(1 + a - 2 P12).
 Where k(d) is largest at d = 0 the transition is continuous; elsewhere it is of first order, the
 homogeneous state is stable for k > k(0), the polarised one for k < max k(d).
 """
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 WIDTH = 0.3  # w; r = 1
 LOAD_PER_REACH = WIDTH * float(1.0 / (8.0 * Circuit(1000, 7).urn_area))  # x over N l
-PLACES = 800  # of d, at equal steps between 0 and x
+PLACES = 800  # of d, evenly between 0 and x
 NEAR_HALF = 1e-3  # of x: the first of them
 
 
@@ -60,9 +60,8 @@ class Transition:
     Attributes
     ----------
     homogeneous : k above which the homogeneous state is stable, k(0).
-    polarised : k below which a polarised state is stable, the largest k(d).
-    jump : chi of the polarised state where both are equally likely in a large circuit; 0:
-        continuous.
+    polarised : k up to which a polarised one is, the largest k(d).
+    jump : chi of the polarised state where both are as likely in a large circuit; 0: continuous.
     equal : k there.
     barrier : of the chain's -log P(chi) between both there, for each particle.
     """
@@ -125,9 +124,9 @@ def width_of(k: float) -> float:
 
 
 def ranges(threshold: int, ratios: Floats) -> list[tuple[float, float, float, float]]:
-    """Return intervals of x/T with a transition of first order, and w'/w at their ends.
+    """Return where the transition is of first order: x/T from, to, and w'/w at either end.
 
-    Ends of `ratios` replace ends that are not within them.
+    Ends of `ratios` stand for ends that are not within them.
     """
     part, k = curve(threshold, threshold * ratios, 200)
     top = k.argmax(axis=1)
@@ -142,8 +141,7 @@ def ranges(threshold: int, ratios: Floats) -> list[tuple[float, float, float, fl
 def chain(threshold: int, load: float, number: int, known: Transition) -> tuple[float, float]:
     """Return the largest barrier of log P(chi) over k, and the least cumulant, at a finite N.
 
-    For N2 as a birth-death chain with these gates, particles in channels not counted; in bins of
-    0.04 of chi.
+    Of N2 as a birth-death chain with these gates, N2 urns' particles; in bins of 0.04 of chi.
     """
     count = np.arange(number + 1)
     sent = through(threshold, load * count / (0.5 * number))

@@ -1,10 +1,18 @@
 """The order of the transition: histograms of chi, barriers, cumulants and hysteresis against N.
 
-Runs circuits of one T and one load at several N (l is shortened as N grows), over w', from equal
-urns and from one nearly full; and the Lorentz circuit at one load, T = 7 and 28. Writes
-predictions.csv and ranges.csv before any run, then long.csv, lorentz.csv, results.csv, sizes.csv
-and order_of_transition.png, into build/order_of_transition/quick, or full. Quick: two replicas from
-either start, N up to 4000, some minutes of a core.
+Runs circuits of one T and one N l at several N (l is shortened as N grows), over w', from equal
+urns and from one nearly full; and the Lorentz circuit, T = 7 and 28. Parts, in this order:
+
+    before      predictions.csv, ranges.csv: all particles in the urns; known before any run
+    first       long.csv, lorentz.csv, results.csv, sizes.csv: the first runs
+    predicted   finite.csv: with particles in the channels, for each N; no runs
+    directions  directions.csv: the theory with memory of directions; no runs
+    runs        runs.csv: later runs, with the histogram of each of them
+    tables      later.csv, later_sizes.csv, barrier_lines.csv, crossings.csv, leaving.csv: no runs
+    picture     order_of_transition.png, from tables
+
+A part that needs a table that was not made takes the one beside the page. Quick: two replicas from
+either start, N up to 4000 (later runs: 1000), some minutes of a core.
 """
 
 from __future__ import annotations
@@ -17,35 +25,37 @@ import numpy as np
 
 import postproc
 from postproc import study
-from postproc.figures import style
-from studies.order_of_transition import prediction
+from studies.order_of_transition import later, picture, prediction
+from studies.order_of_transition.samples import (
+    HIGH,
+    LOW,
+    barrier,
+    cumulant,
+    histogram,
+    jackknife,
+    with_error,
+)
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Sequence
 
-    from matplotlib.figure import Figure
     from numpy.typing import NDArray
 
     Floats = NDArray[np.float64]
     Row = dict[str, object]
 
-STARTS = (0.5, 0.95)
-INTERVAL = 20.0  # time between two records
-TRANSIENT = 5000.0  # directions relax in 25/w^3 = 900
-BINS = np.linspace(0.0, 1.0, 26)  # of |m|
-LOW, HIGH = 0.15, 0.4  # chi: a run with values below and above has crossed
-HALFWAY = 0.3  # chi that defines the transition
-MANY = 4000  # N of the Lorentz circuit, and largest N of a quick study
-LONGER = 8.0
+STARTS, INTERVAL, TRANSIENT, LONGER = later.STARTS, later.INTERVAL, later.TRANSIENT, later.LONG
+HALFWAY = 0.3  # chi, at which the transition is said to be
+MANY = 4000  # N: of the Lorentz circuit, and the most of a quick study
 WIDE = 0.2  # w' of the Lorentz circuit
-PARTED = 0.3  # least difference of chi from both starts for hysteresis
+PARTED = 0.3  # difference of chi from both starts that is hysteresis
 THRESHOLDS = (2, 4, 7, 10, 14, 28, 40, 48, 56, 64, 80, 100)
 RATIOS = np.arange(0.6, 3.5, 0.01)
 
 
 @dataclass(frozen=True)
 class Case:
-    """One T and one N l, so one load, and the w' of runs.
+    """One T and one N l, so one load; w' that are run.
 
     Attributes
     ----------
@@ -62,7 +72,7 @@ class Case:
 
     @property
     def load(self) -> float:
-        """Return x, of well mixed urns with a narrow channel 2."""
+        """Return x, all particles in the urns: those in the channels are left out (`channels`)."""
         return float(self.reach * prediction.LOAD_PER_REACH)
 
 
@@ -78,45 +88,13 @@ CASES = {
     "V": Case(64, 4120, (0.004,), (16000,)),
     "U": Case(64, 4200, (0.015,), (16000,)),
 }
-# Where both states alternate: long runs of few particles, for barriers and cumulants.
+# Where both states take turns: long runs of few particles, for barriers and cumulants.
 LONG = {"A": Case(5, 1000, (0.0284, 0.0292, 0.0300), (250, 500, 1000, 1500))}
 RADII = {7: (0.012, 0.013, 0.014, 0.015, 0.016), 28: (0.012, 0.013)}  # by T
 NOTHING = dict.fromkeys(("barrier", "barrier_error", "w'"), math.nan)
 FIELDS = ("circuit", "T", "N", "l", "w'", "chi_equal", "chi_equal_error", "chi_full",
           "chi_full_error", "cumulant", "cumulant_error", "barrier", "barrier_error",
           "crossed", "runs")  # fmt: skip
-
-
-def histogram(spread: Floats) -> Floats:
-    """Return the histogram of |m| in `BINS`."""
-    return np.histogram(np.abs(spread), BINS)[0].astype(float)
-
-
-def barrier(counts: Floats) -> float:
-    """Return the log of the deepest minimum between two modes, below the lower mode; 0: one mode.
-
-    An empty bin counts 1/2.
-    """
-    filled = np.maximum(counts, 0.5)
-    left, right = np.maximum.accumulate(filled), np.maximum.accumulate(filled[::-1])[::-1]
-    return float(np.log(np.minimum(left, right) / filled).max())
-
-
-def cumulant(spread: Floats) -> float:
-    """Return Binder's cumulant, 1 - <m^4>/(3 <m^2>^2)."""
-    return float(1.0 - (spread**4).mean() / (3.0 * (spread**2).mean() ** 2))
-
-
-def with_error(values: Floats) -> tuple[float, float]:
-    """Return mean and standard error over replicas."""
-    return float(values.mean()), float(values.std(ddof=1) / math.sqrt(values.size))
-
-
-def jackknife(function: Callable[[Floats], float], runs: list[Floats]) -> tuple[float, float]:
-    """Return a function of all runs together, and its error by leaving out one run at a time."""
-    count = len(runs)
-    left = [function(np.concatenate(runs[:k] + runs[k + 1 :])) for k in range(count)]
-    return function(np.concatenate(runs)), math.sqrt((count - 1) * np.var(left))
 
 
 def rows_of(
@@ -127,9 +105,9 @@ def rows_of(
 
     Parameters
     ----------
-    work, name, case, number : study, circuit and N.
-    discs : radius of the discs in channel 2; None: there are none.
-    times : factor of the duration.
+    work, name, case, number : what is run.
+    discs : radius of those in channel 2; None: there are none.
+    times : as long as others.
     label : of the runs' files.
     """
     length = case.reach / number
@@ -152,9 +130,9 @@ def rows_of(
     for place, width in enumerate(case.widths):
         row: Row = {"circuit": name, "T": case.threshold, "N": number, "l": length, "w'": width}
         runs, crossed = [], 0
-        for start, column in enumerate(("chi_equal", "chi_full")):
+        for start, kept in enumerate(("chi_equal", "chi_full")):
             at = {"urn1_fraction": start, "channel2_width": place}
-            row[column], row[f"{column}_error"] = with_error(
+            row[kept], row[f"{kept}_error"] = with_error(
                 whole.chi.isel(at, missing_dims="ignore").to_numpy()
             )
             looks = series.isel(at, missing_dims="ignore")
@@ -173,7 +151,7 @@ def rows_of(
 
 
 def lattice(radius: float) -> list[float]:
-    """Return z, y, radius of the 15 discs of the Lorentz circuit: columns of 2 and 3 alternate."""
+    """Return z, y, radius of the 15 discs of the Lorentz circuit: six columns, by turns 2 and 3."""
     found: list[float] = []
     for column in range(6):
         heights = (-0.25, 0.25) if column % 2 == 0 else (-0.5, 0.0, 0.5)
@@ -182,8 +160,8 @@ def lattice(radius: float) -> list[float]:
     return found
 
 
-def predictions(work: study.Study) -> dict[str, prediction.Transition]:
-    """Write the predictions for each circuit, and where the transition is of first order."""
+def predictions(work: study.Study) -> None:
+    """Write what the gate's rule says of each circuit, and where the line is of first order."""
     found = {name: prediction.transition(case.threshold, case.load) for name, case in CASES.items()}
     rows = []
     for name, case in CASES.items():
@@ -192,10 +170,10 @@ def predictions(work: study.Study) -> dict[str, prediction.Transition]:
         chains = [(number, *prediction.chain(case.threshold, case.load, number, own))
                   for number in case.numbers]  # fmt: skip
         rows += [
-            [name, case.threshold, number, _text(case.load / case.threshold),
-             *(_text(one) for one in heights),
-             *(_text(prediction.width_of(one)) for one in heights),
-             _text(own.jump), _text(own.barrier * number), _text(deepest), _text(lowest)]
+            [name, case.threshold, number, later.text(case.load / case.threshold),
+             *(later.text(one) for one in heights),
+             *(later.text(prediction.width_of(one)) for one in heights),
+             *(later.text(one) for one in (own.jump, own.barrier * number, deepest, lowest))]
             for number, deepest, lowest in chains
         ]  # fmt: skip
     head = ["circuit", "T", "N", "x/T", "k(0)", "k equal", "k largest", "w' of k(0)", "w' equal",
@@ -207,15 +185,14 @@ def predictions(work: study.Study) -> dict[str, prediction.Transition]:
         for span in prediction.ranges(threshold, RATIOS)
     ]
     work.table("ranges", ["T", "x/T from", "x/T to", "w'/w from", "w'/w to"], rows)
-    return found
 
 
 def sizes(rows: list[Row]) -> list[Row]:
-    """Return for each circuit and N barrier, cumulant, hysteresis, jump and their w'."""
+    """Return for each circuit and N barrier, cumulant, hysteresis, jump and where they are."""
     found: list[Row] = []
     for name, number in dict.fromkeys((row["circuit"], row["N"]) for row in rows):
         own = [row for row in rows if row["circuit"] == name and row["N"] == number]
-        # where the distribution does not depend on the start
+        # where the runs are one distribution, whatever their start
         turns = [row for row in own if 2 * row["crossed"] >= row["runs"]]
         deep = max(turns, key=lambda row: row["barrier"], default=NOTHING)
         low = min(own, key=lambda row: row["cumulant"])
@@ -238,47 +215,8 @@ def sizes(rows: list[Row]) -> list[Row]:
     return found
 
 
-def figure(rows: list[Row], long: list[Row], shown: dict[str, prediction.Transition]) -> Figure:
-    """Return chi over w' of four circuits, histograms of one of them, and barriers over N."""
-    made = style.figure(style.PAGE, 5.0)
-    panels = made.subplots(2, 3)
-    for axes, name in zip(panels.flat, "ABCD", strict=False):
-        case = CASES[name]
-        for place, number in enumerate(case.numbers):
-            own = [row for row in rows if row["circuit"] == name and row["N"] == number]
-            for label, look in (("chi_equal", "-o"), ("chi_full", "--s")):
-                axes.plot([row["w'"] for row in own], [row[label] for row in own], look, ms=2.5,
-                          lw=0.9, mfc="none", color=f"C{place}",
-                          label=f"N = {number}" if look == "-o" and own else None)  # fmt: skip
-        for k, dashes in ((shown[name].homogeneous, ":"), (shown[name].polarised, "-.")):
-            axes.axvline(prediction.width_of(k), color="black", lw=0.8, ls=dashes)
-        title = f"{name}: T = {case.threshold}, x = {case.load / case.threshold:.2f} T"
-        axes.set(xlabel="w'/r", ylabel=r"$\chi$", ylim=(0, 1), title=title)
-        axes.legend(fontsize=6, frameon=False)
-    shares, depth = panels.flat[4:]
-    middles = 0.5 * (BINS[:-1] + BINS[1:])
-    for place, number in enumerate(LONG["A"].numbers):
-        own = [row for row in long if row["N"] == number]
-        row = max(own, key=lambda one: one["barrier"])
-        density = row["counts"] / row["counts"].sum() / BINS[1]
-        shares.semilogy(middles, density, lw=1.0, color=f"C{place}", label=f"N = {number}")
-    shares.set(xlabel=r"$\chi$", ylabel="density", title="A: both states take turns")
-    shares.legend(fontsize=6, frameon=False)
-    for table, name, colour in ((sizes(long), "A", "C0"), (sizes(rows), "D", "C1")):
-        own = [row for row in table if row["circuit"] == name and row["barrier"] >= 0.0]
-        number = [row["N"] for row in own]
-        error = [row["barrier_error"] for row in own]
-        depth.errorbar(number, [row["barrier"] for row in own], error, fmt="o-", ms=3, lw=0.9,
-                       color=colour, label=name)  # fmt: skip
-        depth.plot(number, [shown[name].barrier * one for one in number], ":", color=colour)
-    depth.set(xlabel="N", ylabel="barrier of log density", title="dotted: predicted")
-    depth.legend(fontsize=6, frameon=False)
-    return made
-
-
-def run(work: study.Study) -> None:
-    """Make all tables and pictures of the page."""
-    shown = predictions(work)
+def first(work: study.Study) -> None:
+    """Make the first runs and their tables."""
     long = [row for name, case in LONG.items() for number in case.numbers
             for row in rows_of(work, name, case, number, times=LONGER, label="_long")]  # fmt: skip
     work.table("long", FIELDS, _texts(long, FIELDS))
@@ -297,16 +235,18 @@ def run(work: study.Study) -> None:
     work.table("results", FIELDS, _texts(rows, FIELDS))
     table = sizes(rows)
     work.table("sizes", list(table[0]), _texts(table, list(table[0])))
-    work.draw(figure(rows, long, shown), "order_of_transition")
+
+
+PARTS = {
+    "before": predictions, "first": first, "predicted": later.predicted,
+    "directions": later.directions, "runs": later.runs, "tables": later.tables,
+    "picture": picture.draw,
+}  # fmt: skip
 
 
 def _texts(rows: list[Row], fields: Sequence[str]) -> list[list[str]]:
-    return [[_text(row[key]) for key in fields] for row in rows]
-
-
-def _text(value: object) -> str:
-    return f"{value:.4g}" if isinstance(value, float) else str(value)
+    return [[later.text(row[key]) for key in fields] for row in rows]
 
 
 if __name__ == "__main__":
-    raise SystemExit(study.main(__file__, __doc__, run))
+    raise SystemExit(study.main(__file__, __doc__, PARTS))
