@@ -17,16 +17,19 @@ if TYPE_CHECKING:
 
     Floats = NDArray[np.float64]
 
-TOGETHER = 100_000  # visits at a time
-LONGEST = 300_000  # chords, after which a visit is given up
+TOGETHER = 500_000  # visits at a time
+LONGEST = 200_000  # chords, after which a visit is given up
 
 
-def drawn_returns(width: float, ratio: float, count: int, seed: int = 1) -> tuple[int, int, int]:
+def drawn_returns(
+    width: float, ratio: float, count: int, seed: int = 1, longest: int = LONGEST
+) -> tuple[int, int, int]:
     """Draw visits that enter by channel 2; return how many left by it, by channel 1, by neither.
 
     Entries are uniform over lines: the place uniform on the arc of the opening, sin(incidence)
     uniform. Lines that meet that arc twice never cross the opening's chord and are left out, so
-    the three numbers add up to less than `count`. "Neither": given up after `LONGEST` chords.
+    the three numbers add up to less than `count`. "Neither": given up after
+    `longest` chords.
 
     Parameters
     ----------
@@ -34,24 +37,27 @@ def drawn_returns(width: float, ratio: float, count: int, seed: int = 1) -> tupl
     ratio : w'/w.
     count : visits to draw.
     seed : of the random numbers.
+    longest : chords of a visit, at most.
     """
     draw = np.random.default_rng(seed)
     found = np.zeros(3, dtype=np.int64)
     while count > 0:
-        found += _some(width, ratio, min(count, TOGETHER), draw)
+        found += _some(width, ratio, min(count, TOGETHER), draw, longest)
         count -= TOGETHER
     back, across, neither = (int(one) for one in found)
     return back, across, neither
 
 
-def _some(width: float, ratio: float, count: int, draw: np.random.Generator) -> NDArray[np.int64]:
+def _some(
+    width: float, ratio: float, count: int, draw: np.random.Generator, longest: int
+) -> NDArray[np.int64]:
     own, other = math.asin(0.5 * ratio * width), math.asin(0.5 * width)  # half angles
     turn = math.pi - 2.0 * np.arcsin(draw.uniform(-1.0, 1.0, count))
     place = _within(draw.uniform(-own, own, count) + turn)
     inside = np.abs(place) >= own
     place, turn = place[inside], turn[inside]
     back, across = 0, 0
-    for _ in range(LONGEST):
+    for _ in range(longest):
         size = np.abs(place)
         here, there = size < own, size > math.pi - other
         gone = here | there
