@@ -2,15 +2,16 @@
 
 Parts, of which the command line may choose:
 
-runs      narrow.nml with other widths, w from 0.3 down, into results.csv: circuits A to D
-near      circuits nearer to a transition, E and F, from both sides, into near.csv
-narrower  A to D at w from 0.01 down, N from 3e4 up, into narrower.csv
-visits    visits drawn at random, into visits.csv; limits of narrow channels, into ratios.csv
-theories  what theories have for E and F, and walkers for A, C and D, into theories.csv
-limits    runs over theory at their age and extrapolated, into comparison.csv and limits.csv
-picture   of the tables
+runs        narrow.nml with other widths, w from 0.3 down, into results.csv: circuits A to D
+near        circuits nearer to a transition, E and F, from both sides, into near.csv
+narrower    A to D at w from 0.01 down, N from 3e4 up, into narrower.csv
+visits      visits drawn at random, into visits.csv; limits of narrow channels, into ratios.csv
+theories    what theories have for E and F, and walkers for A and D, into theories.csv
+comparison  results.csv over theory at the age of the runs, into comparison.csv
+limits      the same, extrapolated to w = 0, into limits.csv
+picture     of the tables
 
-The last two read tables of this folder, and of the study of circulation. Quick: w down to 0.1, few
+The last three read tables of this folder, and one of the study of circulation. Quick: w down to 0.1, few
 time units, five minutes of a core. --full: what the page shows, half an hour.
 """
 
@@ -18,6 +19,7 @@ from __future__ import annotations
 
 import csv
 import math
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -53,7 +55,7 @@ NEAR = {"E": (0.03, (15, 15)), "F": (0.3, (10, 10))}
 QUICK, FULL = (0.3, 0.2, 0.1), (0.3, 0.2, 0.1, 0.05)
 LIMIT = 0.001  # w that stands for the limit in theories
 MODELS = ("window", "renewal_occupation", "two_port", "direction", "one_particle")
-WALKED = 0.02  # w of walkers in circuits A, C and D
+WALKED = 0.02  # w of walkers in circuits A and D
 VISITS = ((0.01, 2_000_000),)  # w and how many
 RATIOS = (0.001, 0.003, 0.01, 0.03, 0.1, 0.2, 0.3, 1.0)
 
@@ -97,9 +99,7 @@ NARROWER = (
     (
         *(Plan(one, 0.01, 1e5, 2e5) for one in "AB"),
         *(Plan(one, 0.01, 2e4, 1e5) for one in "CD"),
-        *(Plan(one, 0.001, 1e5, 2e5) for one in "AB"),
-        *(Plan(one, 0.001, 3e4, 6e4) for one in "CD"),
-        Plan("D", 0.0003, 5e4, 5e4),
+        Plan("A", 0.001, 1e5, 2e5), *(Plan(one, 0.001, 3e4, 6e4) for one in "CD"),
     ),
 )  # fmt: skip
 
@@ -228,6 +228,20 @@ def over(name: str, row: Row, unit: float) -> Row:
     return {key: row[own] / unit for own, key in keys}
 
 
+def conductance(row: Row) -> Row:
+    """Return F, the current over w'/(pi A) and the difference of the halves' numbers, and error."""
+    width = float(row["w"])
+    ratio, _ = circuit_of(row["circuit"])
+    unit = ratio * width * row["chi"] * row["N"] / (math.pi * area(width, ratio * width))
+    return {"F": row["current"] / unit, "F_error": row["current_error"] / unit}
+
+
+def area(*widths: float) -> float:
+    """Return the area of a disc of radius 1 without what the chords of its openings cut off."""
+    cut = (math.asin(0.5 * one) - 0.5 * one * math.sqrt(1.0 - 0.25 * one**2) for one in widths)
+    return math.pi - sum(cut)
+
+
 def near(work: study.Study) -> None:
     """Make near.csv: E and F from the polarised state of `window`, and from equal halves."""
     rows: list[Row] = []
@@ -243,13 +257,17 @@ def near(work: study.Study) -> None:
 def narrower(work: study.Study) -> None:
     """Make narrower.csv: A to D in narrower channels, with theory at the age of the runs."""
     rows: list[Row] = []
-    for plan in work.pick(*NARROWER):
-        state = told(work, "direction", plan.case, plan.width, plan.age)
-        paper = abs(told(work, "window", plan.case, plan.width)["net_current"])
+    plans = work.pick(*NARROWER)
+    with ThreadPoolExecutor(work.ranks) as pool:
+        states = pool.map(lambda one: told(work, "direction", one.case, one.width, one.age), plans)
+        papers = pool.map(lambda one: told(work, "window", one.case, one.width), plans)
+    for plan, state, known in zip(plans, states, papers, strict=True):
+        paper = abs(known["net_current"])
         seen = ran(work, plan, f"{plan.case}_{plan.width:g}", state["urn2_number"])
         seen |= over("paper", seen, paper) | over("theory", seen, state["at_age"])
         seen |= {"theory": state["at_age"] / paper, "theory_chi": state["mass_spread"]}
-        rows.append({**about(plan), **seen})
+        row = {**about(plan), **seen}
+        rows.append(row | conductance(row))
     table(work, "narrower", rows)
 
 
@@ -277,13 +295,18 @@ def visits_and_limits(work: study.Study) -> None:
 
 def theories(work: study.Study) -> None:
     """Make theories.csv: current over that of `window` and chi by each theory, 0 if it has none."""
-    asked = [(case, width, model) for case in NEAR for width in (0.1, 0.05, LIMIT)
-             for model in MODELS if width != LIMIT or model != "one_particle"]  # fmt: skip
-    asked += [(case, WALKED, "one_particle") for case in "ACD"]
+    places = (*((plan.case, plan.width) for plan in NEARER[1]), ("E", LIMIT), ("F", LIMIT))
+    asked = [(*place, model) for place in places for model in MODELS
+             if place[1] != LIMIT or model != "one_particle"]  # fmt: skip
+    asked += [(case, WALKED, "one_particle") for case in "AD"]
+    with ThreadPoolExecutor(work.ranks) as pool:
+        states = list(pool.map(lambda one: told(work, one[2], *one[:2]), asked))
+        places = list(dict.fromkeys(one[:2] for one in asked))
+        papers = pool.map(lambda one: abs(told(work, "window", *one)["net_current"]), places)
+    paper_of = dict(zip(places, papers, strict=True))
     rows: list[Row] = []
-    for case, width, model in asked:
-        paper = abs(told(work, "window", case, width)["net_current"])
-        state = told(work, model, case, width)
+    for (case, width, model), state in zip(asked, states, strict=True):
+        paper = paper_of[case, width]
         rows.append({
             "circuit": case, "w": width, "model": model,
             "over_paper": abs(state.get("net_current", 0.0)) / paper,
@@ -330,8 +353,8 @@ def extrapolated(own: Sequence[Row], ends: float) -> Row:
     return {**found, **others, "spread": spread}
 
 
-def limits(work: study.Study) -> None:
-    """Make comparison.csv and limits.csv, from tables of this study and of that of circulation."""
+def comparison(work: study.Study) -> None:
+    """Make comparison.csv, from results.csv and from widths.csv of the study of circulation."""
     own = {(row["circuit"], row["w"]): row for row in read(table_of(work, "results"))}
     rows: list[Row] = []
     for at in read(WIDTHS):
@@ -343,10 +366,14 @@ def limits(work: study.Study) -> None:
             "circuit": at["circuit"], "w": at["w"], "age": at["age"],
             "over_paper": row["over_paper"], "over_paper_error": row["over_paper_error"],
             "theory": at["theory"] / paper, "without_circulation": at["without"] / paper,
-            **over("theory", row, at["theory"]),
+            **over("theory", row, at["theory"]), **conductance(row),
         })  # fmt: skip
     table(work, "comparison", rows)
-    found: list[Row] = []
+
+
+def limits(work: study.Study) -> None:
+    """Make limits.csv, from comparison.csv."""
+    rows, found = read(table_of(work, "comparison")), []
     for case, (ratio, _) in CASES.items():
         state = told(work, "direction", case, LIMIT)
         paper = abs(told(work, "window", case, LIMIT)["net_current"])
@@ -450,7 +477,7 @@ def _near_transition(axes: Axes, case: str, runs: Sequence[Row], theory: Sequenc
 
 PARTS = {
     "runs": runs, "near": near, "narrower": narrower, "visits": visits_and_limits,
-    "theories": theories, "limits": limits, "picture": picture,
+    "theories": theories, "comparison": comparison, "limits": limits, "picture": picture,
 }  # fmt: skip
 
 if __name__ == "__main__":

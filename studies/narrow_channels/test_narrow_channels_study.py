@@ -48,6 +48,13 @@ def test_drawn_visits_return_as_often_as_theory_has() -> None:
     assert abs(back / total - chance) < 4.0 * math.sqrt(chance / total)
 
 
+def test_conductance_of_well_mixed_urns_is_one() -> None:
+    assert study.area(0.1, 0.003) == pytest.approx(3.1415092554226174, rel=1e-14)  # of theory
+    row = {"circuit": "D", "w": 0.1, "N": 3000.0, "chi": 0.25, "current_error": 0.0}
+    row["current"] = 0.1 * 750.0 / (math.pi * study.area(0.1, 0.1))
+    assert study.conductance(row)["F"] == pytest.approx(1.0)
+
+
 def test_halves_and_changes_of_sign() -> None:
     samples = np.array([[1.0, 3.0, -2.0, -4.0], [1.0, 1.0, 1.0, 1.0]])
     assert study.halves(samples).tolist() == [[2.0, -3.0], [1.0, 1.0]]
