@@ -11,8 +11,8 @@ comparison  results.csv over theory at the age of the runs, into comparison.csv
 limits      the same, extrapolated to w = 0, into limits.csv
 picture     of the tables
 
-The last three read tables of this folder, and one of the study of circulation. Quick: w down to 0.1, few
-time units, five minutes of a core. --full: what the page shows, half an hour.
+The last three read tables of this folder, and one of the study of circulation. Quick: w down to
+0.1, few time units, five minutes of a core. --full: what the page shows, half an hour.
 """
 
 from __future__ import annotations
