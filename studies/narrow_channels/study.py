@@ -443,7 +443,7 @@ def _towards_limit(axes: Axes, case: str, first: Sequence[Row], more: Sequence[R
     own = sorted((row for row in [*first, *more] if row["circuit"] == case),
                  key=lambda row: (row["w"], row["theory"]))  # fmt: skip
     axes.plot([row["w"] for row in own], [row["theory"] for row in own], "-", color="black",
-              lw=0.9, label="`direction` at this age")  # fmt: skip
+              lw=0.9, label="direction, at this age")  # fmt: skip
     axes.axhline(visits.deep_limit(ratio), color="black", ls="--", lw=0.8, label="closed form")
     axes.set_xscale("log")
     axes.set_title(f"{case}: w'/w = {ratio:g}, T = {thresholds[0]}, {thresholds[1]}", fontsize=8)
@@ -459,20 +459,20 @@ def _near_transition(axes: Axes, case: str, runs: Sequence[Row], theory: Sequenc
         own = sorted((row for row in theory if row["circuit"] == case and row["model"] == model),
                      key=lambda row: row["w"])  # fmt: skip
         axes.plot([row["w"] for row in own], [row[key] for row in own],
-                  "-" if model != "one_particle" else "x", color=f"C{at + 2}", lw=1.0, ms=5,
-                  label=model)  # fmt: skip
-    for start, mark, shift in (("window", "v", 0.93), ("even", "^", 1.07)):
+                  f"{'-' if model != 'one_particle' else ''}{'_.*sx'[at]}", color=f"C{at + 2}",
+                  lw=1.0, ms=5, label=model)  # fmt: skip
+    for start, mark, shift in (("window", "v", 0.8), ("even", "^", 1.25)):
         own = [row for row in runs if row["circuit"] == case and row["start"] == start]
         axes.errorbar(
             [shift * row["w"] for row in own], [row[key] for row in own],
             [row[f"{key}_error"] for row in own], fmt=mark, ms=4, color="black", mfc="none",
             capsize=2, ls="none", label=f"runs from {start}",
         )  # fmt: skip
-    axes.set_xscale("log")
+    axes.set(xscale="log", xlim=(6e-4, 0.3), ylim=(0.5, 1.03) if case == "E" else (-0.05, 0.65))
     axes.set_ylabel("net current over the paper's" if case == "E" else "chi", labelpad=1)
     axes.set_title(f"{case}: w'/w = {ratio:g}, T = {thresholds[0]}, {thresholds[1]}", fontsize=8)
     if case == "E":
-        axes.legend(loc="lower left", frameon=False, fontsize=5.5)
+        axes.legend(loc="lower center", frameon=False, fontsize=5.5, ncols=2)
 
 
 PARTS = {
