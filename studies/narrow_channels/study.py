@@ -423,7 +423,7 @@ def picture(work: study.Study) -> None:
     for case, axes in zip("EF", panels[:, 2], strict=True):
         _near_transition(axes, case, rows["near"], rows["theories"])
     for axes in panels[:, 0]:
-        axes.set_ylabel("net current over the paper's")
+        axes.set_ylabel("R, net current over the paper's")
     for axes in panels[1]:
         axes.set_xlabel("w/r, at N w = 300 r")
     work.draw(made, "narrow_channels")
@@ -433,7 +433,7 @@ def _towards_limit(axes: Axes, case: str, first: Sequence[Row], more: Sequence[R
     """Draw runs over the paper against w, theory at their age, and the closed form."""
     ratio, thresholds = CASES[case]
     for rows, mark, colour, label in (
-        (first, "o", "C0", "4 replicas"), (more, "s", "C1", "4 or 16, later")
+        (first, "o", "C0", "first runs"), (more, "s", "C1", "later runs")
     ):  # fmt: skip
         own = [row for row in rows if row["circuit"] == case]
         axes.errorbar(
@@ -468,11 +468,11 @@ def _near_transition(axes: Axes, case: str, runs: Sequence[Row], theory: Sequenc
             [row[f"{key}_error"] for row in own], fmt=mark, ms=4, color="black", mfc="none",
             capsize=2, ls="none", label=f"runs from {start}",
         )  # fmt: skip
-    axes.set(xscale="log", xlim=(6e-4, 0.3), ylim=(0.5, 1.03) if case == "E" else (-0.05, 0.65))
-    axes.set_ylabel("net current over the paper's" if case == "E" else "chi", labelpad=1)
+    axes.set(xscale="log", xlim=(6e-4, 0.3), ylim=(0.65, 1.03) if case == "E" else (-0.05, 0.65))
+    axes.set_ylabel("R" if case == "E" else "chi", labelpad=1)
     axes.set_title(f"{case}: w'/w = {ratio:g}, T = {thresholds[0]}, {thresholds[1]}", fontsize=8)
-    if case == "E":
-        axes.legend(loc="lower center", frameon=False, fontsize=5.5, ncols=2)
+    if case == "F":
+        axes.legend(loc=(0.02, 0.09), frameon=False, fontsize=5.5)
 
 
 PARTS = {
