@@ -472,7 +472,7 @@ def _near_transition(axes: Axes, case: str, runs: Sequence[Row], theory: Sequenc
     axes.set_ylabel("R" if case == "E" else "chi", labelpad=1)
     axes.set_title(f"{case}: w'/w = {ratio:g}, T = {thresholds[0]}, {thresholds[1]}", fontsize=8)
     if case == "F":
-        axes.legend(loc=(0.02, 0.09), frameon=False, fontsize=5.5)
+        axes.legend(loc=(0.02, 0.1), frameon=False, fontsize=5.5, labelspacing=0.1)
 
 
 PARTS = {
