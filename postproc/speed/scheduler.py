@@ -21,12 +21,12 @@ if TYPE_CHECKING:
 # queries per second of all ranks, the share of the time for queries, and the longest time between
 # two.
 OPERATIONS_A_TASK = 5
-OPERATIONS_A_LOOK = 2
+OPERATIONS_A_POLL = 2
 BYTES_A_TASK = 8
-LOOK_INTERVAL = 0.1
-LOOKS_A_SECOND = 1.0e4
-LOOK_SHARE = 0.005
-LONGEST_INTERVAL = 5.0
+POLL_INTERVAL = 0.1
+POLLS_A_SECOND = 1.0e4
+POLL_SHARE = 0.005
+LONGEST_POLL_INTERVAL = 5.0
 
 ORDERS = ("longest", "random", "static")
 
@@ -99,7 +99,7 @@ def put_in_order(lengths: Floats, order: str, length_error: float, seed: int) ->
 
 def simulate(lengths: Floats, ranks: int, network: Network) -> Outcome:
     """Assign the tasks, in this order, to the ranks, one by one from the queue."""
-    work, board_time, load = _slowed(lengths, ranks, network)
+    work, queue_time, load = _slowed(lengths, ranks, network)
     service = OPERATIONS_A_TASK * network.service / max(1.0 - load, 1e-9)
     latency = OPERATIONS_A_TASK * network.latency
     # (time at which a rank's request arrives at the queue, rank); the queue is free again at
@@ -129,7 +129,7 @@ def simulate(lengths: Floats, ranks: int, network: Network) -> Outcome:
         board_share=1.0 - busy / total - end_share,
         end_share=end_share,
         busy_least=float(spent.min()) / last * busy / float(work.sum()),
-        board_load=(OPERATIONS_A_TASK * network.service * len(lengths) + board_time) / last,
+        board_load=(OPERATIONS_A_TASK * network.service * len(lengths) + queue_time) / last,
         longest_wait=longest_wait,
         list_bytes=BYTES_A_TASK * len(lengths),
     )
@@ -137,12 +137,12 @@ def simulate(lengths: Floats, ranks: int, network: Network) -> Outcome:
 
 def _slowed(lengths: Floats, ranks: int, network: Network) -> tuple[Floats, float, float]:
     """Return the lengths with queries of the queue, the time of the queries, and their load."""
-    cost = OPERATIONS_A_LOOK * (network.latency + network.service)
-    interval = max(LOOK_INTERVAL, ranks / LOOKS_A_SECOND, cost / LOOK_SHARE)
-    looks = np.floor(lengths / min(interval, LONGEST_INTERVAL))
-    board_time = float(looks.sum()) * OPERATIONS_A_LOOK * network.service
+    cost = OPERATIONS_A_POLL * (network.latency + network.service)
+    interval = max(POLL_INTERVAL, ranks / POLLS_A_SECOND, cost / POLL_SHARE)
+    polls = np.floor(lengths / min(interval, LONGEST_POLL_INTERVAL))
+    queue_time = float(polls.sum()) * OPERATIONS_A_POLL * network.service
     seconds = float(lengths.sum()) / min(ranks, len(lengths))
-    return lengths + cost * looks, board_time, min(board_time / seconds, 1.0)
+    return lengths + cost * polls, queue_time, min(queue_time / seconds, 1.0)
 
 
 def simulate_static(lengths: Floats, ranks: int) -> Outcome:

@@ -18,9 +18,9 @@ IDEAL = Network(0.0, 1e-12)
 
 
 @pytest.mark.parametrize(
-    "name", ["look_interval", "looks_a_second", "look_share", "longest_interval"]
+    "name", ["poll_interval", "polls_a_second", "poll_share", "longest_poll_interval"]
 )
-def test_looks_are_those_of_the_program(name: str) -> None:
+def test_polls_are_those_of_the_program(name: str) -> None:
     text = "".join(path.read_text(encoding="utf-8") for path in SOURCES.glob("*.f90"))
     (value,) = re.findall(rf"\b{name} = ([\d.e]+)_dp", text)
     assert getattr(scheduler, name.upper()) == float(value)
