@@ -9,22 +9,23 @@ fire.
 
 Rounding errors grow too fast for a run back over more than some 60 time units. So particles that do
 in a past what they did in the history take their passes from there. Those that did not are computed
-from where they parted; they are typical of the past, if not exact.
+from where they parted; they are typical of the past, if not exact. Of too many pasts
+some are selected at random.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from itertools import combinations
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from studies.entropy_production.flights import Ray
+from studies.entropy_production.selection import selected
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterator, Sequence
 
     from numpy.typing import ArrayLike, NDArray
 
@@ -55,26 +56,6 @@ class Backward(NamedTuple):
     since: float
     ray: Ray
     known: int = UNKNOWN
-
-
-@dataclass(frozen=True)
-class Pasts:
-    """The tree of all pasts; one that branches goes on as one of its branches.
-
-    Attributes
-    ----------
-    born, died : times before the present; that of those that are there at the end is infinite.
-    states : of those that are there at the end, at that depth.
-    """
-
-    born: Floats
-    died: Floats
-    states: list[list[Backward]]
-
-    def number(self, depth: ArrayLike) -> NDArray[np.int64]:
-        """Return how many pasts there are at each depth."""
-        wanted = np.asarray(depth, float)[..., None]
-        return np.sum((self.born <= wanted) & (wanted < self.died), axis=-1)
 
 
 class History:
@@ -114,28 +95,51 @@ class Tree:
     ) -> None:
         self.table, self.threshold, self.history, self.time = table, threshold, history, time
 
-    def pasts(self, present: Sequence[Backward], depth: float) -> Pasts:
-        """Return all pasts of a state, down to a depth; the history, if known, goes on as it."""
-        lives: list[tuple[float, float]] = []
-        states: list[list[Backward]] = []
-        todo = [(list(present), 0.0)]
+    def pasts(self, present: Sequence[Backward], depth: float) -> list[list[Backward]]:
+        """Return all pasts of a state at a depth; that of the history, if known, is the first."""
+        return [past for past, *_ in self._until(list(present), 1.0, depth, true=True)]
+
+    def number(
+        self, present: Sequence[Backward], depths: ArrayLike, most: int, random: np.random.Generator
+    ) -> Floats:
+        """Return how many pasts a state of a history has, at ascending depths.
+
+        Of more than `most` at one of the depths, the true past and others selected at random go on,
+        and count for more. Then the number is unbiased, the mean of its logarithm too small.
+        """
+        found = []
+        pasts = [(list(present), 1.0, True)]
+        for depth in np.asarray(depths, float):
+            there = [one for past, weight, true in pasts
+                     for one in self._until(past, weight, depth, true=true)]  # fmt: skip
+            found.append(sum(weight for _, weight, _ in there))
+            if len(there) > most:
+                others = [one for one in there if not one[2]]
+                taken, chance = selected([weight for _, weight, _ in others], most - 1, random)
+                there = [one for one in there if one[2]] + [
+                    (others[at][0], others[at][1] / over, False)
+                    for at, over in zip(taken.tolist(), chance.tolist(), strict=True)
+                ]
+            pasts = there
+        return np.array(found)
+
+    def _until(
+        self, past: list[Backward], weight: float, depth: float, *, true: bool
+    ) -> Iterator[tuple[list[Backward], float, bool]]:
+        """Yield what a past may be at a depth, with its weight, and whether it is the true one."""
+        todo = [(past, true)]
         while todo:
-            past, born = todo.pop()
-            while True:
-                first = min(range(len(past)), key=lambda at: past[at].until)
-                now = past[first].until
+            one, so = todo.pop()
+            branches = [one]
+            while branches:
+                one = branches.pop(0)
+                todo.extend((other, False) for other in branches)
+                untils = [particle.until for particle in one]
+                now = min(untils)
                 if now > depth:
-                    lives.append((born, math.inf))
-                    states.append(past)
+                    yield one, weight, so
                     break
-                branches = self._before(past, first)
-                if not branches:
-                    lives.append((born, now))
-                    break
-                past = branches.pop(0)
-                todo.extend((other, now) for other in branches)
-        born, died = np.array(lives).T
-        return Pasts(born, died, states)
+                branches = self._before(one, untils.index(now))
 
     def _before(self, past: list[Backward], first: int) -> list[list[Backward]]:
         """Return what may have been before something happens to a particle, what was first."""

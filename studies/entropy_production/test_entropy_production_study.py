@@ -81,7 +81,7 @@ def test_weight_of_all_pasts_is_that_of_a_brute_force(threshold: int) -> None:
         passes = _drawn(random, 3 + threshold, threshold)
         rates = (1.0, 3.0)
         channel = Channel(passes, threshold, rates)
-        found = channel.weigh(LONG_AGO - 1.0, max(one.left for one in passes) + 1.0, 10**6)
+        found = channel.weigh(LONG_AGO - 1.0, max(one.left for one in passes) + 1.0, 10**6, random)
         want = _weight_of_all(threshold, passes, rates)
         assert math.exp(found.log_ratio[-1]) == pytest.approx(want, rel=1e-9)
         several += want > 1.0
@@ -95,7 +95,7 @@ def _pasts(
     passes, _ = histories(TABLE, threshold, starts, depth)
     history = History(passes, len(starts))
     found = Tree(TABLE, threshold, history, depth).pasts(history.state(depth), depth)
-    states = [coordinates(TABLE, one, depth) for one in found.states]
+    states = [coordinates(TABLE, one, depth) for one in found]
     return states, coordinates(TABLE, history.state(depth), 0.0)
 
 
@@ -128,7 +128,7 @@ def test_mean_number_of_pasts_over_all_states_is_1(
 ) -> None:
     random, tree = np.random.default_rng(3), Tree(TABLE, threshold)
     found = np.array([
-        len(tree.pasts(entropy.drawn_present(random, number, threshold), depth).states)
+        len(tree.pasts(entropy.drawn_present(random, number, threshold), depth))
         for _ in range(1000)
     ])  # fmt: skip
     assert found.max() > 2
@@ -137,7 +137,7 @@ def test_mean_number_of_pasts_over_all_states_is_1(
 
 def test_without_reversals_a_state_has_one_past() -> None:
     found, _ = entropy.pasts_of_a_run(np.random.default_rng(1), 20, 20, 100.0)
-    assert len(found.states) == 1
+    assert len(found) == 1
 
 
 def test_flights_are_those_of_the_program(tmp_path: Path) -> None:
