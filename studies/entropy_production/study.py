@@ -41,18 +41,18 @@ if TYPE_CHECKING:
 Made = TypeVar("Made")
 
 TABLE = Table()
-FEW = ((2, 500), (3, 500), (5, 500), (10, 500), (30, 500), (100, 4000))  # N, firings a run, T = 1
+FEW = ((2, 500), (3, 400), (5, 400), (10, 400), (30, 400), (100, 2000))  # N, firings a run, T = 1
 PRESENTS = {2: 1000, 3: 400, 5: 200, 10: 60, 30: 20, 100: 4}  # of a run
 AGES = (2.0, 10.0, 32.0)  # of pasts; 32 is the mean time of a visit, pi A/(w + w')
 CHECKED = (2, 3, 5, 10)
 MANY = {(200, 2): 4, (300, 2): 2, (300, 3): 2, (1000, 1): 1, (1000, 7): 1}  # windows of a run
-DENSE = ((1000, 2), (1000, 4), (1000, 10))  # rates alone
-# how many pasts are selected; the last counts
-SELECTED = {(200, 2): (300,), (300, 2): (300,), (300, 3): (75, 150, 300),
-            (1000, 1): (30, 100, 300), (1000, 7): (60, 125, 250, 500, 1000)}  # fmt: skip
+# how many pasts are selected, and at the start of windows, where more are needed; the last count
+SELECTED = {(200, 2): (300,), (300, 2): (300,), (300, 3): (100, 300),
+            (1000, 1): (30, 100, 300), (1000, 7): (60, 125, 250)}  # fmt: skip
+STARTS = (250, 1000)
 # N at T = 1, greatest age of pasts, states of full runs and of quick ones, pasts selected
-DEEP = ((3, 8000.0, 96, 16, (1000,)), (10, 1600.0, 96, 16, (1000,)),
-        (30, 240.0, 32, 6, (100, 300, 1000)), (100, 36.0, 24, 6, (30, 100, 300)))  # fmt: skip
+DEEP = ((3, 8000.0, 64, 16, (1000,)), (10, 1600.0, 64, 16, (1000,)),
+        (30, 120.0, 12, 6, (60, 240)), (100, 36.0, 10, 6, (30, 100, 300)))  # fmt: skip
 MEASURE = ((3, 2000.0), (10, 200.0), (30, 10.0), (100, 1.2))  # N, age
 TIMES = 200  # at which pasts are counted
 ROWS = 20  # of them in the table
@@ -143,9 +143,9 @@ def folding(
 ) -> dict[str, float]:  # fmt: skip
     """Return what the logarithm of the weight of all pasts over the true one's gains in windows.
 
-    It gains it from its mean over ages of 1 to 2 edges to its mean over the last edge. Times,
-    firings and gains are summed over windows; `start` is the sum of the first means, `several` the
-    number of windows with several pasts already at the age `AGES[0]`.
+    It gains it from its mean over ages of 1 to 2 edges, the start, to its mean over the last edge.
+    Times, firings, gains and starts are summed over windows; `several` is the number of windows
+    with several pasts already at the age `AGES[0]`.
     """
     fired = np.array([time for time, kind, *_ in log if kind == REVERSAL])
     found = dict.fromkeys(("gain", "start", "time", "firings", "several", "windows"), 0.0)
@@ -182,7 +182,7 @@ def few_run(number: int, fired: float, presents: int, seed: int) -> dict[str, An
     wanted = np.searchsorted(ages, AGES)
     for present in random.uniform(TRANSIENT, end, presents):
         tree = Tree(TABLE, 1, history, present)
-        several += tree.number(history.state(present), ages, 100, random)[wanted] > 1.5
+        several += tree.number(history.state(present), ages, 20, random)[wanted] > 1.5
     return {
         **found, "all_firings": firings(one for one in log if TRANSIENT < one[0] <= end),
         "span": span, "reversed": reversed_pairs, "through": through,
@@ -197,7 +197,7 @@ def few(work: study.Study) -> list[dict[str, float]]:
         runs = [
             kept(work, f"few_{number}_{seed}", few_run, number, work.pick(fired / 5, fired),
                  int(work.pick(4, PRESENTS[number])), seed)
-            for seed in range(int(work.pick(4, 16)))
+            for seed in range(int(work.pick(4, 8)))
         ]  # fmt: skip
         of = {key: np.array([one[key] for one in runs], float) for key in runs[0]}
         row = {"number": number, "foreseen": foreseen(number),
@@ -258,19 +258,46 @@ def weighed_run(
     return folding(channel, log, windows, most, np.random.default_rng(seed))
 
 
+def start_of_run(
+    path: Path, threshold: int, entries: Sequence[float], windows: Sequence[tuple[float, float]],
+    most: int, seed: Sequence[int],
+) -> float:  # fmt: skip
+    """Return the sum of the starts of `folding`, of the same windows, from their ends alone."""
+    passes, _ = histories(TABLE, threshold, last_state(path), windows[-1][1] + 1.0)
+    channel, random = Channel(passes, threshold, entries), np.random.default_rng(seed)
+    total = 0.0
+    for begin, end in windows:
+        edge = min(EDGE, 0.1 * (end - begin))
+        found = channel.weigh(end - 2.5 * edge, end, most, random)
+        total += found.mean(end, edge, 2.0 * edge)
+    return total
+
+
 def weighed(
     work: study.Study, number: int, threshold: int, most: int
 ) -> dict[str, NDArray[np.float64]]:
-    """Return the gains of `folding` of each run of many particles, so many pasts being selected."""
+    """Return sums of `folding` of each run of many particles, so many pasts being selected.
+
+    At the start of windows more pasts are needed than later: `starts` are the sums with more
+    pasts selected, as `STARTS`. Gains are from the last of them.
+    """
     runs = states(work, number, threshold)
     entries = [float(np.mean([one[f"entries{gate}"] for one in runs])) for gate in (1, 2)]
     windows = [(2.0 + at * LENGTH, 2.0 + (at + 1.0) * LENGTH)
                for at in range(int(work.pick(1, MANY[number, threshold])))]  # fmt: skip
-    found = [
-        kept(work, f"weighed_{number}_{threshold}_{most}_{seed}", weighed_run, one["path"],
-             threshold, entries, windows, most, (number, threshold, seed, most))
-        for seed, one in zip(seeds(work), runs, strict=True)
-    ]  # fmt: skip
+    name = f"{number}_{threshold}"
+    found = []
+    for seed, one in zip(seeds(work), runs, strict=True):
+        told_of = (one["path"], threshold, entries, windows)
+        row = kept(work, f"weighed_{name}_{most}_{seed}", weighed_run, *told_of, most,
+                   (number, threshold, seed, most))  # fmt: skip
+        row["starts"] = [
+            kept(work, f"start_{name}_{more}_{seed}", start_of_run, *told_of, more,
+                 (number, threshold, seed, more, 1))
+            for more in STARTS
+        ]  # fmt: skip
+        row["gain"] += row["start"] - row["starts"][-1]
+        found.append(row)
     return {key: np.array([one[key] for one in found]) for key in found[0]}
 
 
@@ -282,7 +309,7 @@ def numbers_selected(work: study.Study, circuit: tuple[int, int]) -> tuple[int, 
 def many(work: study.Study) -> list[dict[str, Any]]:
     """Return the entropy of channel 1 with many particles, with what the net current would cost."""
     rows = []
-    for circuit in (*MANY, *DENSE):
+    for circuit in MANY:
         number, threshold = circuit
         runs = states(work, number, threshold)
         row: dict[str, Any] = {"number": number, "threshold": threshold}
@@ -313,7 +340,7 @@ def convergence(work: study.Study) -> list[dict[str, Any]]:
             rows.append({
                 "number": circuit[0], "threshold": circuit[1], "most": most,
                 "windows": int(of["windows"].sum()),
-                "start": mean_of_groups(of["start"] / of["windows"]),
+                "starts": [mean_of_groups(one / of["windows"]) for one in of["starts"].T],
                 "folding": mean_of_groups(of["gain"] / of["time"]),
             })  # fmt: skip
     return rows
@@ -385,7 +412,7 @@ def measure(work: study.Study) -> list[dict[str, Any]]:
     rows = []
     for number, age in MEASURE:
         random = np.random.default_rng([number, 2])
-        size = int(work.pick(50, 400))
+        size = int(work.pick(50, 200))
         inverse = [1.0 / len(pasts_of_a_run(random, number, 1, age)[0]) for _ in range(size)]
         tree = Tree(TABLE, 1)
         found = np.array([len(tree.pasts(drawn_present(random, number, 1), age))
@@ -478,10 +505,11 @@ def tables(
            if "folding" in one else ["-"] * 4)]
         for one in many_rows
     ])  # fmt: skip
-    head = ["N", "T", "pasts selected", "windows", "ln at the start", "F_ch"]
+    head = ["N", "T", "pasts selected", "windows", "F_ch",
+            *(f"start, {most} pasts selected" for most in STARTS)]  # fmt: skip
     work.table("convergence", head, [
         [*(str(one[key]) for key in ("number", "threshold", "most", "windows")),
-         text.measured(*one["start"]), text.measured(*one["folding"])]
+         text.measured(*one["folding"]), *(text.measured(*start) for start in one["starts"])]
         for one in convergence_rows
     ])  # fmt: skip
     head = ["N", "age s", "states", "prediction 5", "F_ch s", "pasts selected", "mean of ln n_s",
