@@ -287,17 +287,18 @@ def pairs(passes: Sequence[Pass]) -> tuple[int, int]:
     """Return how many states of two particles in channel 1 have two pasts, T = 1.
 
     Of those that the gate reversed, and of those that came through. Only two that leave the same
-    gate one after the other are looked at, by the two inequalities of `share_of_two_pasts`.
+    gate, one after the other, are looked at, by the two inequalities of `share_of_two_pasts`: what
+    others do is neglected.
     """
     reversed_pairs = through = 0
-    for first, second in pairwise(passes):
-        tau = second.left - first.left
-        if (first.particle == second.particle or first.exit.side != second.exit.side
-                or tau >= second.half):  # fmt: skip
-            continue
-        if math.isinf(first.turned) and math.isinf(second.turned):
-            through += 1
-        elif first.turned == second.turned == first.left:
-            reversed_pairs += (first.half > 2.0 * second.half - tau
-                               or second.half > 2.0 * first.half + tau)  # fmt: skip
+    for side in (1, 2):
+        for first, second in pairwise(one for one in passes if one.exit.side == side):
+            tau = second.left - first.left
+            if first.particle == second.particle or tau >= second.half:
+                continue
+            if math.isinf(first.turned) and math.isinf(second.turned):
+                through += 1
+            elif first.turned == second.turned == first.left:
+                reversed_pairs += (first.half > 2.0 * second.half - tau
+                                   or second.half > 2.0 * first.half + tau)  # fmt: skip
     return reversed_pairs, through

@@ -41,18 +41,18 @@ if TYPE_CHECKING:
 Made = TypeVar("Made")
 
 TABLE = Table()
-FEW = ((2, 500), (3, 400), (5, 400), (10, 400), (30, 400), (100, 2000))  # N, firings a run, T = 1
+FEW = ((2, 500), (3, 400), (5, 400), (10, 400), (30, 400), (100, 1000))  # N, firings a run, T = 1
 PRESENTS = {2: 1000, 3: 400, 5: 200, 10: 60, 30: 20, 100: 4}  # of a run
 AGES = (2.0, 10.0, 32.0)  # of pasts; 32 is the mean time of a visit, pi A/(w + w')
 CHECKED = (2, 3, 5, 10)
 MANY = {(200, 2): 4, (300, 2): 2, (300, 3): 2, (1000, 1): 1, (1000, 7): 1}  # windows of a run
 # how many pasts are selected, and at the start of windows, where more are needed; the last count
 SELECTED = {(200, 2): (300,), (300, 2): (300,), (300, 3): (100, 300),
-            (1000, 1): (30, 100, 300), (1000, 7): (60, 125, 250)}  # fmt: skip
+            (1000, 1): (30, 100, 300), (1000, 7): (60, 125, 250, 500)}  # fmt: skip
 STARTS = (250, 1000)
 # N at T = 1, greatest age of pasts, states of full runs and of quick ones, pasts selected
 DEEP = ((3, 8000.0, 64, 16, (1000,)), (10, 1600.0, 64, 16, (1000,)),
-        (30, 120.0, 12, 6, (60, 240)), (100, 36.0, 10, 6, (30, 100, 300)))  # fmt: skip
+        (30, 120.0, 32, 6, (60, 240)), (100, 36.0, 24, 6, (30, 100, 300)))  # fmt: skip
 MEASURE = ((3, 2000.0), (10, 200.0), (30, 10.0), (100, 1.2))  # N, age
 TIMES = 200  # at which pasts are counted
 ROWS = 20  # of them in the table
@@ -197,7 +197,7 @@ def few(work: study.Study) -> list[dict[str, float]]:
         runs = [
             kept(work, f"few_{number}_{seed}", few_run, number, work.pick(fired / 5, fired),
                  int(work.pick(4, PRESENTS[number])), seed)
-            for seed in range(int(work.pick(4, 8)))
+            for seed in range(int(work.pick(4, 16)))
         ]  # fmt: skip
         of = {key: np.array([one[key] for one in runs], float) for key in runs[0]}
         row = {"number": number, "foreseen": foreseen(number),
@@ -222,16 +222,16 @@ def renewal_chain(number: int, threshold: int, urn2: float, area: float) -> floa
                  + (around[1] - around[0]) * math.log(around[1] / around[0]))  # fmt: skip
 
 
-def seeds(work: study.Study) -> range:
-    """Return the seeds of independent runs of the program."""
-    return range(1, int(work.pick(2, 8)) + 1)
+def seeds(work: study.Study, threshold: int) -> range:
+    """Return the seeds of independent runs of the program; more where they differ most."""
+    return range(1, int(work.pick(2, 16 if threshold == 7 else 8)) + 1)
 
 
 def states(work: study.Study, number: int, threshold: int) -> list[dict[str, float]]:
     """Return rates and costs of each of the independent runs of a circuit of many particles."""
     found = []
     end = work.pick(4000.0, 10000.0)
-    for seed in seeds(work):
+    for seed in seeds(work, threshold):
         path = ran(work, number, threshold, seed, end)
         row = kept(work, f"rates_{number}_{threshold}_{seed}", rates, path, TRANSIENT, end)
         current = row["flow2_21"] - row["flow2_12"]
@@ -287,7 +287,7 @@ def weighed(
                for at in range(int(work.pick(1, MANY[number, threshold])))]  # fmt: skip
     name = f"{number}_{threshold}"
     found = []
-    for seed, one in zip(seeds(work), runs, strict=True):
+    for seed, one in zip(seeds(work, threshold), runs, strict=True):
         told_of = (one["path"], threshold, entries, windows)
         row = kept(work, f"weighed_{name}_{most}_{seed}", weighed_run, *told_of, most,
                    (number, threshold, seed, most))  # fmt: skip
