@@ -320,11 +320,10 @@ def many(work: study.Study) -> list[dict[str, Any]]:
         row["chain"] = 0.0
         if theory["homogeneous"] == "unstable":
             row["chain"] = renewal_chain(number, threshold, max(stable), theory["urn_area"])
-        if circuit in MANY:
-            of = weighed(work, number, threshold, numbers_selected(work, circuit)[-1])
-            row["folding"] = mean_of_groups(of["gain"] / of["time"])
-            row["a_firing"] = ratio_of_groups(of["gain"], of["firings"])
-            row["several"] = [of["several"].sum(), of["windows"].sum()]
+        of = weighed(work, number, threshold, numbers_selected(work, circuit)[-1])
+        row["folding"] = mean_of_groups(of["gain"] / of["time"])
+        row["a_firing"] = ratio_of_groups(of["gain"], of["firings"])
+        row["windows"] = [of["windows"].sum(), of["several"].sum()]
         rows.append(row)
     return rows
 
@@ -499,10 +498,8 @@ def tables(
             "windows", f"of these several pasts at s = {AGES[0]:g}"]  # fmt: skip
     work.table("many", head, [
         [str(one["number"]), str(one["threshold"]), *(text.measured(*one[key]) for key in keys),
-         text.number(one["chain"]),
-         *([text.measured(*one["folding"]), text.measured(*one["a_firing"]),
-            *(f"{count:.0f}" for count in reversed(one["several"]))]
-           if "folding" in one else ["-"] * 4)]
+         text.number(one["chain"]), text.measured(*one["folding"]),
+         text.measured(*one["a_firing"]), *(f"{count:.0f}" for count in one["windows"])]
         for one in many_rows
     ])  # fmt: skip
     head = ["N", "T", "pasts selected", "windows", "F_ch",
@@ -547,9 +544,8 @@ def figure(
     left, right = made.subplots(1, 2)
     left.axhline(2.0 * share_of_two_pasts() * math.log(2.0), color=style.BLACK, lw=0.8, ls=":",
                  label="prediction, few particles")  # fmt: skip
-    own = [one for one in many_rows if "folding" in one]
     points = [(1, one["number"], *one["a_firing"]) for one in few_rows]
-    points += [(one["threshold"], one["number"], *one["a_firing"]) for one in own]
+    points += [(one["threshold"], one["number"], *one["a_firing"]) for one in many_rows]
     marks = {1: "o", 2: "s", 3: "D", 7: "^"}
     for (threshold, mark), colour in zip(marks.items(), style.CYCLE, strict=False):
         _, number, value, error = np.array([one for one in points if one[0] == threshold]).T
@@ -558,7 +554,7 @@ def figure(
                       lolims=dense, label=f"$T = {threshold}$" + ", at least" * dense)  # fmt: skip
         costs = [(one["number"], one["bound"][0] / one["firings"][0],
                   one["both"][0] / one["firings"][0])
-                 for one in own if one["threshold"] == threshold > 1]  # fmt: skip
+                 for one in many_rows if one["threshold"] == threshold > 1]  # fmt: skip
         for number, bound, both in costs:
             shift = 0.93 if threshold == 2 else 1.08
             left.plot(number * shift, bound, mark, color=colour, ms=4, mfc="none")
