@@ -1,9 +1,8 @@
-"""Simulation of single particles, r = 1: excursions between passes through channel 1, gates.
+"""Particles one by one, r = 1: excursions between visits to channel 1, and its gates.
 
-Between leaving channel 1 and entering it again a particle is independent: `excursion`. So a history
-is a list of passes through channel 1, and the rule of the gates determines the end of each:
-`histories`. Both urns have the same frame: its origin is the centre, channel 1 is at negative x,
-channel 2 at positive x.
+Between leaving channel 1 and entering it again a particle is alone: `excursion`. So a history is a
+list of passes through channel 1, and the gates' rule decides how each ends: `histories`. Both urns
+have one frame: its origin the centre, channel 1 at negative x, channel 2 at positive x.
 """
 
 from __future__ import annotations
@@ -20,8 +19,8 @@ if TYPE_CHECKING:
 
     import numpy as np
 
-CROSSING, ENTRY = 0, 1  # of simultaneous events, crossings of the middle line are first
-LONGEST = 10**7  # wall hits of a visit
+CROSSING, ENTRY = 0, 1  # at one instant, crossings of the middle line come first
+LONGEST = 10**7  # bounces of a visit
 
 
 class Ray(NamedTuple):
@@ -30,8 +29,8 @@ class Ray(NamedTuple):
     Attributes
     ----------
     side : urn, 1 or 2.
-    y : its position on the chord.
-    axial, lateral : velocity along the channel (absolute value) and across.
+    y : its place on the chord.
+    axial, lateral : velocity along the channel (positive: the way it goes) and across.
     """
 
     side: int
@@ -41,15 +40,15 @@ class Ray(NamedTuple):
 
 
 class Start(NamedTuple):
-    """State of a particle at time 0.
+    """Where a particle is at time 0.
 
     Attributes
     ----------
     inside : whether it is in channel 1.
-    time : inside and moving to the middle line, the time at which it was at the chord (negative);
-        inside and moving to the chord, the time at which it will be there; in an urn or channel 2,
-        the time at which it will enter channel 1.
-    ray : state at this time, in the direction of its flight, into channel 1 or out of it.
+    time : if inside and heading for the middle line, when it was at the chord (negative); inside
+        and heading for the chord, when it will be there; in an urn or channel 2, when it will enter
+        channel 1.
+    ray : then. In the direction of its flight, into channel 1 or out of it.
     """
 
     inside: bool
@@ -62,11 +61,11 @@ class Pass(NamedTuple):
 
     Attributes
     ----------
-    particle : index, from 0.
-    entered, left : times of entry and exit.
-    entry, exit : rays into the channel and out of it.
+    particle : from 0.
+    entered, left : times.
+    entry, exit : rays, into the channel and out of it.
     half : time from the chord to the middle line.
-    turned : time at which a gate reversed it; infinite if none did.
+    turned : when a gate turned it back; infinite if none did.
     """
 
     particle: int
@@ -95,14 +94,14 @@ class Table(Circuit):
         return number * self.channel1_width / (math.pi * self.area)
 
     def along(self, ray: Ray, time: float) -> Ray:
-        """Return a ray in channel 1 after some time (before, if negative), with the new y."""
+        """Return a ray in channel 1 after some time, or before if negative: across, not along."""
         y, lateral = fold(ray.y + ray.lateral * time, ray.lateral, self.channel1_width)
         return ray._replace(y=y, lateral=lateral)
 
     def visit(
         self, place: complex, velocity: complex
     ) -> tuple[float, int, float, float, float]:
-        """Return length of a flight from a point of an urn, the channel at its end, and the ray."""
+        """Return length of a flight from a point of an urn, the channel where it ends, the ray."""
         chord1, chord2 = self.chords
         along = place.real * velocity.real + place.imag * velocity.imag
         first = -along + math.sqrt(along**2 + 1.0 - abs(place) ** 2)
@@ -127,7 +126,7 @@ class Table(Circuit):
         return length, channel, y, abs(velocity.real), velocity.imag
 
     def flight(self, side: int, place: complex, velocity: complex) -> tuple[float, Ray]:
-        """Return the time until a particle at a point of an urn enters channel 1, and the ray."""
+        """Return when a particle at a point of an urn enters channel 1, and the ray then."""
         time, channel, y, axial, lateral = self.visit(place, velocity)
         while channel == 2:
             duration = self.channel2_length / axial
@@ -139,12 +138,12 @@ class Table(Circuit):
         return time, Ray(side, y, axial, lateral)
 
     def excursion(self, ray: Ray) -> tuple[float, Ray]:
-        """Return the time from leaving channel 1 until the next entry, and the ray of the entry."""
+        """Return how long a particle that leaves channel 1 stays away, and the ray it enters by."""
         place = complex(-self.chords[0], ray.y)
         return self.flight(ray.side, place, complex(ray.axial, ray.lateral))
 
     def in_urn(self, ray: Ray, time: float) -> tuple[complex, complex] | None:
-        """Return position and velocity some time after leaving channel 1, None if in channel 2."""
+        """Return place and velocity some time after leaving channel 1, None if in channel 2."""
         place, velocity = complex(-self.chords[0], ray.y), complex(ray.axial, ray.lateral)
         while True:
             along = place.real * velocity.real + place.imag * velocity.imag
@@ -159,7 +158,7 @@ class Table(Circuit):
             time -= length
 
     def start(self, x: float, y: float, ux: float, uy: float) -> Start:
-        """Return the start of a particle from position and velocity in the program's frame."""
+        """Return where a particle is, from place and velocity in the program's frame."""
         side, sign = (2, 1.0) if x > 0.0 else (1, -1.0)
         first, second = self.chords
         place = complex(sign * x - 0.5 * self.channel1_length - first, y)
@@ -170,7 +169,7 @@ class Table(Circuit):
             return Start(True, time, self.along(Ray(side, y, axial, uy), time))
         if place.real <= second:
             return Start(False, *self.flight(side, place, velocity))
-        # in channel 2: as if it entered from the end of the channel
+        # in channel 2: as if it came out of its end
         depth, axial = place.real - second, abs(velocity.real)
         if velocity.real > 0.0:
             side, depth = 3 - side, self.channel2_length - depth
@@ -200,7 +199,7 @@ class Table(Circuit):
 
 
 def fold(y: float, lateral: float, width: float) -> tuple[float, float]:
-    """Fold an unfolded y into a channel; return y and the lateral velocity."""
+    """Return place and velocity across a channel, from the place between walls that reflect."""
     walls = math.floor(y / width + 0.5)
     y -= walls * width
     return (-y, -lateral) if walls % 2 else (y, lateral)
@@ -209,11 +208,11 @@ def fold(y: float, lateral: float, width: float) -> tuple[float, float]:
 def histories(  # noqa: C901 -- the loop over events, of three kinds
     table: Table, threshold: int, starts: Sequence[Start], duration: float
 ) -> tuple[list[Pass], list[tuple[float, int, int, int]]]:
-    """Return all passes that begin within `duration`, and those of the start; and the log.
+    """Return all passes that begin in the time given, and those of the start; and the log.
 
-    Passes are in the order of their ends. The log has (time, kind, gate, particle), with the kinds
-    of `studies.event_log`, without crossings of channel 2; for a reversal the number of reversed
-    particles. Particles are numbered from 1 in it.
+    Passes are in the order of their ends. The log has (time, kind, gate, particle), kinds as those
+    of `studies.event_log`, without crossings of channel 2; the number of a reversal is how many it
+    turns. Particles are numbered from 1 in it.
     """
     queue: list[tuple[float, int, int, int]] = []
     entered: list[tuple[float, Ray]] = [(0.0, one.ray) for one in starts]
@@ -226,7 +225,7 @@ def histories(  # noqa: C901 -- the loop over events, of three kinds
         return 0.5 * table.channel1_length / ray.axial
 
     def leave(particle: int, side: int, turned: float) -> None:
-        """Append the finished pass to the list, and put the next entry into the queue."""
+        """Put the rest of the pass into the list, the next entry into the queue."""
         since, ray = entered[particle]
         inside = 2.0 * (turned - since) if math.isfinite(turned) else 2.0 * half(ray)
         out = table.along(ray, inside)._replace(side=side)
@@ -244,12 +243,12 @@ def histories(  # noqa: C901 -- the loop over events, of three kinds
             entered[particle] = (one.time, one.ray)
             counted[one.ray.side].add(particle)
             heapq.heappush(queue, (one.time + half(one.ray), CROSSING, particle, 0))
-        else:  # it came through, or was reversed, before: as if it had come through
+        else:  # came through, or was turned, before: as if it had come through
             since = one.time - 2.0 * half(one.ray)
             entry = table.along(one.ray, -2.0 * half(one.ray))._replace(side=3 - one.ray.side)
             entered[particle] = (since, entry)
             leave(particle, one.ray.side, math.inf)
-    # particles that entered within the duration are followed until they leave
+    # those that entered in time are followed until they leave
     while queue[0][0] < duration or any(
         entered[one][0] < duration for one in counted[1] | counted[2]
     ):
@@ -277,5 +276,5 @@ def histories(  # noqa: C901 -- the loop over events, of three kinds
 
 
 def firings(log: Iterable[tuple[float, int, int, int]]) -> int:
-    """Return the number of reversals in a log."""
+    """Return how many reversals a log has."""
     return sum(kind == 2 for _, kind, _, _ in log)

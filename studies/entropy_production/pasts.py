@@ -1,29 +1,31 @@
 """All pasts of a present state of few particles, with the exact rule of the gates.
 
-Backwards in time every particle moves with reversed velocity. One that reaches a chord from the urn
-left its gate there: either it had come through, or been reversed before, and continues towards the
-middle line; or the gate reversed at that time, and the particle is back in the urn. The second is
-possible if no particle is counted in that gate; then any T of those moving outwards were counted. A
-past is invalid if more than T are counted: the last entry would have caused a reversal.
+Backwards in time every particle flies with its velocity turned. One that reaches a chord from the
+urn left its gate there: either it had come through, or been turned before, and flies on towards the
+middle line; or the gate fired at that instant, and it is back in the urn. The second is possible if
+no particle is counted in that gate; then any T of those on their way out were counted. A past is
+invalid where it comes to more than T that are counted: the last entry would have made the gate
+fire.
 
-Rounding errors grow too fast for a run back over more than about 60 time units. So the passes of
-particles that are the same in a past as in the history are taken from the history. The others are
-computed from the point of difference; they are typical of the past, but not exact.
+Rounding errors grow too fast for a run back over more than some 60 time units. So particles that do
+in a past what they did in the history take their passes from there. Those that did not are computed
+from where they parted; they are typical of the past, if not exact. Of too many pasts
+some are selected at random.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from itertools import combinations
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from studies.entropy_production.flights import Ray
+from studies.entropy_production.selection import selected
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterator, Sequence
 
     from numpy.typing import ArrayLike, NDArray
 
@@ -31,22 +33,22 @@ if TYPE_CHECKING:
 
     Floats = NDArray[np.float64]
 
-AWAY, OUTWARD, COUNTED = 0, 1, 2  # forward in time: outside channel 1, moving outwards, counted
+AWAY, OUTWARD, COUNTED = 0, 1, 2  # in forward time: not in channel 1, on the way out of it, counted
 UNKNOWN = -1
 NOWHERE = Ray(0, 0.0, 1.0, 0.0)
 
 
 class Backward(NamedTuple):
-    """A particle of a past: its status, backwards in time, and the end of this status.
+    """A particle of a past: what it does, going back, and when that ends.
 
     Attributes
     ----------
-    status : AWAY until `until`, when it enters its gate; OUTWARD until it is at the middle line;
-        COUNTED until it is at the chord.
+    status : AWAY until `until`, when it comes into its gate; OUTWARD until it is at the middle
+        line; COUNTED until it is at the chord.
     until : time before the present.
-    since : if OUTWARD, the time at which it entered.
-    ray : at the chord where it entered, or will enter or leave; the gate is `ray.side`.
-    known : index of its pass in the history, as long as it is the same there.
+    since : if OUTWARD, when it came in.
+    ray : at the chord where it came in, or will come in or leave; the gate is `ray.side`.
+    known : index of its pass in the history, as long as it does what it did there.
     """
 
     status: int
@@ -54,26 +56,6 @@ class Backward(NamedTuple):
     since: float
     ray: Ray
     known: int = UNKNOWN
-
-
-@dataclass(frozen=True)
-class Pasts:
-    """The tree of all pasts; one that branches is continued as one of its branches.
-
-    Attributes
-    ----------
-    born, died : times before the present; infinite for those that exist at the end.
-    states : states of those that exist at the end, at that depth.
-    """
-
-    born: Floats
-    died: Floats
-    states: list[list[Backward]]
-
-    def number(self, depth: ArrayLike) -> NDArray[np.int64]:
-        """Return the number of pasts at each depth."""
-        wanted = np.asarray(depth, float)[..., None]
-        return np.sum((self.born <= wanted) & (wanted < self.died), axis=-1)
 
 
 class History:
@@ -86,15 +68,15 @@ class History:
         self.entered = [[one.entered for one in mine] for mine in self.passes]
 
     def state(self, time: float) -> list[Backward]:
-        """Return the state at a time, from which pasts begin."""
+        """Return the state at a time, as pasts begin."""
         return [
             self._present(particle, int(np.searchsorted(entered, time, "right")) - 1, time)
             for particle, entered in enumerate(self.entered)
         ]
 
     def _present(self, particle: int, known: int, time: float) -> Backward:
-        """Return a particle at a time, from its current or last pass."""
-        if known < 0:  # before its first pass
+        """Return a particle at a time, the pass that it is in or had last being known."""
+        if known < 0:  # it has not been in channel 1 yet
             return Backward(AWAY, math.inf, 0.0, NOWHERE)
         one = self.passes[particle][known]
         if time < min(one.turned, one.entered + one.half):
@@ -106,38 +88,61 @@ class History:
 
 
 class Tree:
-    """The rule backwards from one present, at `time` of a history if there is one."""
+    """The rule, back from one present, at `time` of a history if there is one."""
 
     def __init__(
         self, table: Table, threshold: int, history: History | None = None, time: float = 0.0
     ) -> None:
         self.table, self.threshold, self.history, self.time = table, threshold, history, time
 
-    def pasts(self, present: Sequence[Backward], depth: float) -> Pasts:
-        """Return all pasts of a state, down to a depth; the history, if known, keeps its index."""
-        lives: list[tuple[float, float]] = []
-        states: list[list[Backward]] = []
-        todo = [(list(present), 0.0)]
+    def pasts(self, present: Sequence[Backward], depth: float) -> list[list[Backward]]:
+        """Return all pasts of a state at a depth; that of the history, if known, is the first."""
+        return [past for past, *_ in self._until(list(present), 1.0, depth, true=True)]
+
+    def number(
+        self, present: Sequence[Backward], depths: ArrayLike, most: int, random: np.random.Generator
+    ) -> Floats:
+        """Return how many pasts a state of a history has, at ascending depths.
+
+        Of more than `most` at one of the depths, the true past and others selected at random go on,
+        and count for more. Then the number is unbiased, the mean of its logarithm too small.
+        """
+        found = []
+        pasts = [(list(present), 1.0, True)]
+        for depth in np.asarray(depths, float):
+            there = [one for past, weight, true in pasts
+                     for one in self._until(past, weight, depth, true=true)]  # fmt: skip
+            found.append(sum(weight for _, weight, _ in there))
+            if len(there) > most:
+                others = [one for one in there if not one[2]]
+                taken, chance = selected([weight for _, weight, _ in others], most - 1, random)
+                there = [one for one in there if one[2]] + [
+                    (others[at][0], others[at][1] / over, False)
+                    for at, over in zip(taken.tolist(), chance.tolist(), strict=True)
+                ]
+            pasts = there
+        return np.array(found)
+
+    def _until(
+        self, past: list[Backward], weight: float, depth: float, *, true: bool
+    ) -> Iterator[tuple[list[Backward], float, bool]]:
+        """Yield what a past may be at a depth, with its weight, and whether it is the true one."""
+        todo = [(past, true)]
         while todo:
-            past, born = todo.pop()
-            while True:
-                first = min(range(len(past)), key=lambda at: past[at].until)
-                now = past[first].until
+            one, so = todo.pop()
+            branches = [one]
+            while branches:
+                one = branches.pop(0)
+                todo.extend((other, False) for other in branches)
+                untils = [particle.until for particle in one]
+                now = min(untils)
                 if now > depth:
-                    lives.append((born, math.inf))
-                    states.append(past)
+                    yield one, weight, so
                     break
-                branches = self._before(past, first)
-                if not branches:
-                    lives.append((born, now))
-                    break
-                past = branches.pop(0)
-                todo.extend((other, now) for other in branches)
-        born, died = np.array(lives).T
-        return Pasts(born, died, states)
+                branches = self._before(one, untils.index(now))
 
     def _before(self, past: list[Backward], first: int) -> list[list[Backward]]:
-        """Return the possible pasts before an event of a particle, the history first."""
+        """Return what may have been before something happens to a particle, what was first."""
         one, gate = past[first], past[first].ray.side
         counted = sum(other.status == COUNTED and other.ray.side == gate for other in past)
         if one.status == COUNTED:
@@ -165,7 +170,7 @@ class Tree:
         return branches
 
     def _with_known(self, particle: int, one: Backward, *, fired: bool) -> Backward:
-        """Return a particle that enters a gate backwards, or is its entrant, as in the history."""
+        """Return a particle that comes into a gate, or is its entrant; what it did, if so."""
         if one.known != UNKNOWN:
             did = self.history.passes[particle][one.known]
             if (did.turned == did.left) != fired:
@@ -173,7 +178,7 @@ class Tree:
         return one
 
     def _gone(self, particle: int, one: Backward) -> Backward:
-        """Return a counted particle, or an entrant, that leaves channel 1 backwards in time."""
+        """Return a counted particle, or an entrant, that leaves channel 1, going back."""
         if one.known > 0:
             did = self.history.passes[particle][one.known - 1]
             return Backward(AWAY, self.time - did.left, 0.0, _back(did.exit), one.known - 1)
@@ -191,7 +196,7 @@ class Tree:
         return Backward(COUNTED, one.until + half, 0.0, ray)
 
     def _turned(self, particle: int, one: Backward, now: float) -> Backward:
-        """Return a particle moving outwards as it was before the gate reversed it at this time."""
+        """Return a particle on its way out as it was before the gate turned it at this instant."""
         if one.known != UNKNOWN:
             did = self.history.passes[particle][one.known]
             if self.time - did.turned == now:
@@ -201,10 +206,10 @@ class Tree:
 
 
 def turned_start(table: Table, one: Start) -> Backward:
-    """Return a particle of a past that begins, backwards in time, at a start."""
+    """Return a particle of a past that begins, going back, at such a start."""
     if not one.inside:
         return Backward(AWAY, one.time, 0.0, one.ray)
-    if one.time > 0.0:  # moves backwards to the chord
+    if one.time > 0.0:  # heads, backwards, for the chord
         return Backward(COUNTED, one.time, 0.0, one.ray)
     half = 0.5 * table.channel1_length / one.ray.axial
     return Backward(OUTWARD, one.time + half, one.time, one.ray)
@@ -225,7 +230,7 @@ def _with(past: list[Backward], changed: dict[int, Backward]) -> list[Backward]:
 def coordinates(table: Table, past: Sequence[Backward], depth: float) -> Floats | None:
     """Return x, y, ux, uy of a past's particles in the program's frame, forward in time.
 
-    None if one of them was in channel 2 since it left channel 1, or has never been in channel 1.
+    None if one of them was in channel 2 since it left channel 1, or has never been in that.
     """
     rows = []
     for one in past:
