@@ -53,20 +53,20 @@ class Outcome:
     ----------
     seconds : from the start to the end of the last task.
     idle_share : share of all ranks' time not spent in tasks.
-    board_share : part of it spent for operations on the queue: latency, waiting, and queries.
+    queue_share : part of it spent for operations on the queue: latency, waiting, and queries.
     end_share : part of it spent waiting for the last task of the run.
     busy_least : share of its time that the least busy rank spends in tasks.
-    board_load : share of the time in which the queue serves an operation.
+    queue_load : share of the time in which the queue serves an operation.
     longest_wait : longest time a rank waits for its next task.
     list_bytes : memory of the list of tasks, on rank 0 only.
     """
 
     seconds: float
     idle_share: float
-    board_share: float
+    queue_share: float
     end_share: float
     busy_least: float
-    board_load: float
+    queue_load: float
     longest_wait: float
     list_bytes: int
 
@@ -126,10 +126,10 @@ def simulate(lengths: Floats, ranks: int, network: Network) -> Outcome:
     return Outcome(
         seconds=last,
         idle_share=1.0 - busy / total,
-        board_share=1.0 - busy / total - end_share,
+        queue_share=1.0 - busy / total - end_share,
         end_share=end_share,
         busy_least=float(spent.min()) / last * busy / float(work.sum()),
-        board_load=(OPERATIONS_A_TASK * network.service * len(lengths) + queue_time) / last,
+        queue_load=(OPERATIONS_A_TASK * network.service * len(lengths) + queue_time) / last,
         longest_wait=longest_wait,
         list_bytes=BYTES_A_TASK * len(lengths),
     )
@@ -198,11 +198,11 @@ def draw(
             simulate(np.sort(task_lengths(few, m, spread, 1))[::-1], ranks, slow)
             for m in means.tolist()
         ]
-        board = [max(found.board_share, 1e-7) for found in shares]
-        right.loglog(means, board, "o-", color=colour, label=label)
+        queue = [max(found.queue_share, 1e-7) for found in shares]
+        right.loglog(means, queue, "o-", color=colour, label=label)
     right.axhline(0.01, color=style.GREY, linestyle=":", linewidth=0.8)
     right.set_xlabel("mean length of a task, s")
-    right.set_ylabel("share of time at the board")
+    right.set_ylabel("share of time at the task queue")
     right.set_title(f"{ranks:,} ranks, {few // ranks} tasks each")
     right.legend()
     return made

@@ -67,7 +67,7 @@ def test_grahams_worst_case_of_longest_first() -> None:
     assert found.seconds == pytest.approx(4 * ranks - 1)
 
 
-def test_first_tasks_queue_at_the_board() -> None:
+def test_first_tasks_queue_at_the_task_queue() -> None:
     """The last of P ranks waits until all the others have been served."""
     network = Network(1e-3, 1e-4)
     found = simulate(np.full(50, 0.05), 50, network)
@@ -76,12 +76,12 @@ def test_first_tasks_queue_at_the_board() -> None:
     assert found.seconds == pytest.approx(0.05 + waited)
 
 
-def test_looks_take_their_share_and_no_more() -> None:
+def test_polls_take_their_share_and_no_more() -> None:
     """A slow network makes looks rare: they cost half a percent at most, of tasks below 5 s."""
     for latency in (1e-6, 1e-4, 1e-2):
         found = simulate(np.full(10, 4.9), 1, Network(latency, 1e-9))
         taking = scheduler.OPERATIONS_A_TASK * latency / 4.9
-        assert found.idle_share <= 1.05 * (scheduler.LOOK_SHARE + taking)
+        assert found.idle_share <= 1.05 * (scheduler.POLL_SHARE + taking)
         assert found.idle_share >= taking
 
 
@@ -90,14 +90,14 @@ def test_board_that_is_asked_too_often_sets_the_pace() -> None:
     network = Network(0.0, 1e-3)
     found = simulate(np.full(2000, 1e-3), 100, network)
     assert found.seconds == pytest.approx(2000 * scheduler.OPERATIONS_A_TASK * 1e-3, rel=0.01)
-    assert found.board_load == pytest.approx(1.0, rel=0.01)
+    assert found.queue_load == pytest.approx(1.0, rel=0.01)
 
 
 def test_shares_add_up_and_the_list_beats_dealing_out() -> None:
     lengths = task_lengths(5000, 0.1, 0.5, 1)
     by_list = simulate(lengths, 50, Network())
     dealt = simulate_static(lengths, 50)
-    assert by_list.idle_share == pytest.approx(by_list.board_share + by_list.end_share)
+    assert by_list.idle_share == pytest.approx(by_list.queue_share + by_list.end_share)
     assert 0.0 < by_list.idle_share < dealt.idle_share
     assert dealt.seconds == pytest.approx(lengths.reshape(100, 50).sum(axis=0).max())
 
