@@ -153,7 +153,7 @@ TEMPORARY = ["out.h5.part", "out.h5.tasks/plan.new", "out.h5.tasks/rank_0", "out
 
 def test_nothing_is_written_through_a_link(tmp_path: Path) -> None:
     """What is temporary is made anew; the target of a link of that name stays as it was."""
-    write(tmp_path, run={"collisions": 100_000_000}, limits={"checkpoint_minutes": 0.0001})
+    write(tmp_path, run={"collisions": 30_000_000}, limits={"checkpoint_minutes": 0.0001})
     (tmp_path / "out.h5.tasks").mkdir()
     targets = {name: tmp_path / f"precious{at}" for at, name in enumerate(TEMPORARY)}
     for name, target in targets.items():
@@ -293,7 +293,7 @@ def test_names_that_nobody_means_are_refused(tmp_path: Path, key: str, name: str
 def stopped(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Give a run killed with some results and states, and the undisturbed results beside it."""
     folder = tmp_path_factory.mktemp("stopped")
-    write(folder, run={"collisions": 50_000_000}, limits={"checkpoint_minutes": 0.0001})
+    write(folder, run={"collisions": 15_000_000}, limits={"checkpoint_minutes": 0.0001})
     assert run("--quiet", "case.nml", folder=folder).returncode == 0
     (folder / "out.h5").rename(folder / "calm.h5")
     process = start("--quiet", "case.nml", folder=folder)
