@@ -23,7 +23,7 @@ from postproc.theory import circulation, direction, fate, ports, two_port
 from postproc.theory.circuit import Circuit
 from postproc.theory.models import MODELS
 from studies.circulations import TRANSIENT, circulations, steepest, straight_time
-from studies.event_log import CROSSING1, CROSSING2, ENTRY, circuit_of, read_log, stories
+from studies.event_log import CROSSING1, CROSSING2, ENTRY, circuit_of, particle_events, read_log
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from postproc.theory.circulation import Straight
     from postproc.theory.states import State
     from studies.event_log import Circuit as Table
-    from studies.event_log import Log, Stories
+    from studies.event_log import Log, ParticleEvents
 
     Floats = NDArray[np.float64]
     Integers = NDArray[np.int64]
@@ -45,10 +45,10 @@ if TYPE_CHECKING:
 ROUNDS = 2 ** np.arange(9)  # at which circulations are counted
 AGED = ((7, 0.01), (10, 0.0204), (12, 0.0612))  # T, w' of *The age of a run*
 EARLY, LATE = (2800.0, 8400.0), (2e4, 1e6)  # ages of runs whose current was to be explained
-OPENED = 0.03  # w' of the circuit whose rates are told apart
+OPENED = 0.03  # w' of the circuit whose rates are events apart
 NAMES = {"A": "A: 7, 7; 0.03", "B": "B: 4, 40; 0.03", "C": "C: 4, 40; 0.3", "D": "D: 4, 40; 1"}
 FEW = 8  # sets of particles that theory draws elsewhere
-LAST = 7  # round up to which fates are told apart
+LAST = 7  # round up to which fates are events apart
 AGES, WIDTHS = (Path(__file__).parents[1] / f"{one}/results.csv"
                 for one in ("age_of_a_run", "narrow_channels"))  # fmt: skip
 
@@ -98,24 +98,24 @@ def spread_of(log: Log, at_start: int, end: float) -> tuple[float, float]:
     return mean, float((number - mean) ** 2 @ lasting) / lasting.sum()
 
 
-def fates_of(told: Stories, rounds: Integers, circuit: Table) -> Integers:
+def fates_of(events: ParticleEvents, rounds: Integers, circuit: Table) -> Integers:
     """Return the fates of passages from urn 2 to urn 1, round by round, shape (fate, round).
 
     Rounds: 0 of what has not come straight, 1 ... `LAST`, and all beyond. Fates, of those that are
     known: a wall of urn 1; turned back in gate 1; a wall of urn 2; straight to channel 2 again.
     """
     longest = straight_time(circuit) * math.hypot(1.0, steepest(circuit)) * (1.0 + 1e-9)
-    passes = (told.kind == CROSSING2) & (told.where == 21) & (told.time > TRANSIENT)
-    passes = np.flatnonzero(passes & (told.after >= 0))
-    into = told.after[passes]
+    passes = (events.kind == CROSSING2) & (events.where == 21) & (events.time > TRANSIENT)
+    passes = np.flatnonzero(passes & (events.after >= 0))
+    into = events.after[passes]
     until_entry = longest - 0.5 * circuit.channel1_length
-    entered = (told.kind[into] == ENTRY) & (told.where[into] == 1)
-    entered &= told.time[into] - told.time[passes] <= until_entry
-    turned = entered & np.isfinite(told.turned[into])
-    middle = np.where(entered & ~turned, told.after[into], -1)
-    last = np.where(middle >= 0, told.after[middle], -1)
-    again = (last >= 0) & (told.kind[last] == CROSSING2) & (told.where[last] == 21)
-    again &= told.time[last] - told.time[middle] <= longest
+    entered = (events.kind[into] == ENTRY) & (events.where[into] == 1)
+    entered &= events.time[into] - events.time[passes] <= until_entry
+    turned = entered & np.isfinite(events.turned[into])
+    middle = np.where(entered & ~turned, events.after[into], -1)
+    last = np.where(middle >= 0, events.after[middle], -1)
+    again = (last >= 0) & (events.kind[last] == CROSSING2) & (events.where[last] == 21)
+    again &= events.time[last] - events.time[middle] <= longest
     fate = np.select([~entered, turned, ~again], [0, 1, 2], 3)
     known = ~entered | turned | (last >= 0)
     which = np.minimum(rounds[passes], LAST + 1)
@@ -138,10 +138,10 @@ def measured(work: study.Study, at: int, case: Case) -> Logs:
         }  # fmt: skip
         path = work.run("circuit", f"case_{at}_{seed}", changes, alone=True)
         log, circuit = read_log(path), circuit_of(postproc.open_results(path))
-        told = stories(log)
-        one = circulations(told, circuit)
+        events = particle_events(log)
+        one = circulations(events, circuit)
         straight = one.rounds > 0
-        fates = fates_of(told, one.all_rounds, circuit)
+        fates = fates_of(events, one.all_rounds, circuit)
         found.append({
             "counts": [np.count_nonzero(one.rounds[one.sign == 1] == m) for m in ROUNDS],
             "straight": one.sign[straight].sum() / (end - TRANSIENT),
@@ -296,9 +296,9 @@ def rates(work: study.Study) -> list[Row]:
     """
     rows: list[Row] = []
     for at, case in enumerate(CASES):
-        logs, told = logs_of(work, at), rates_of(work, at)
-        duration, said = logs["counts"].shape[0] * float(logs["duration"]), mean_of(told["theory"])
-        counts, changed = logs["counts"].sum(axis=0), mean_of(told["changed"])
+        logs, theory = logs_of(work, at), rates_of(work, at)
+        duration, said = logs["counts"].shape[0] * float(logs["duration"]), mean_of(theory["theory"])
+        counts, changed = logs["counts"].sum(axis=0), mean_of(theory["changed"])
         rows += [
             {"circuit": case.label, "rounds": str(m), "measured": counts[k] / duration,
              "error": math.sqrt(said[0][k] / duration), "theory": said[0][k],
@@ -318,7 +318,7 @@ def pooled(work: study.Study) -> list[Row]:
     other = (f"w' = {OPENED}", [k for k, one in enumerate(CASES) if one.channel2_width == OPENED])
     for name, chosen in (parts, other):
         logs = [logs_of(work, at) for at in chosen]
-        told = [rates_of(work, at) for at in chosen]
+        events = [rates_of(work, at) for at in chosen]
         number = logs[0]["counts"].shape[0]
         counts = np.array([one["counts"] for one in logs])
         variance = counts.var(axis=1, ddof=min(1, number - 1)).sum(axis=0) * number
@@ -327,7 +327,7 @@ def pooled(work: study.Study) -> list[Row]:
             row["over_poisson"] = variance[k] / max(row["counts"], 1.0)
             for theory in ("theory", "changed"):
                 expected, error = mean_of(number * float(logs[0]["duration"]) * np.sum(
-                    [one[theory][:, k] for one in told], axis=0))  # fmt: skip
+                    [one[theory][:, k] for one in events], axis=0))  # fmt: skip
                 row |= {f"{theory}_counts": expected, f"{theory}_ratio": row["counts"] / expected,
                         f"{theory}_error": math.sqrt(max(variance[k], expected)) / expected,
                         f"{theory}_draws": error / expected}  # fmt: skip
@@ -339,7 +339,7 @@ def split(work: study.Study) -> list[Row]:
     """Return a row for each circuit: the current by rounds of circulations, and the rest."""
     rows: list[Row] = []
     for at, case in enumerate(CASES):
-        logs, told = logs_of(work, at), rates_of(work, at)
+        logs, events = logs_of(work, at), rates_of(work, at)
         circuit, number = MODELS["direction"].of(case.circuit), many(work) if at == 0 else FEW
         ages = np.linspace(TRANSIENT, TRANSIENT + float(logs["duration"]), 200)
         all_of = kept(work, f"logs_current_{at}", lambda of=circuit, ages=ages, number=number: {
@@ -347,7 +347,7 @@ def split(work: study.Study) -> list[Row]:
         row: Row = {"circuit": case.label}
         seen = {"straight": logs["straight"], "rest": logs["rest"],
                 "total": logs["straight"] + logs["rest"]}  # fmt: skip
-        straight = told["theory_current"]
+        straight = events["theory_current"]
         said = {"straight": straight, "rest": all_of - straight[: len(all_of)], "total": all_of}
         for name, values in seen.items():
             row |= dict(zip((name, f"{name}_error"), map(float, mean_of(values)), strict=True))
@@ -367,7 +367,7 @@ def gates(work: study.Study) -> list[Row]:
     usual = CASES[0].threshold, CASES[0].channel2_width
     same = [k for k, one in enumerate(CASES) if (one.threshold, one.channel2_width) == usual]
     for chosen in (*([at] for at in range(len(CASES))), same):
-        logs, told = ([of(work, at) for at in chosen] for of in (logs_of, rates_of))
+        logs, events = ([of(work, at) for at in chosen] for of in (logs_of, rates_of))
         fates = sum(one["fates"].sum(axis=0) for one in logs)
         entries, rounds = fates[1:].sum(), fates[:, 1:].sum(axis=1)
         weights = [one["fates"][:, 1:].sum() for one in logs]
@@ -377,7 +377,7 @@ def gates(work: study.Study) -> list[Row]:
             "entries": str(entries), "reversed": str(fates[1].sum()),
             "measured": fates[1].sum() / entries,
             "error": math.sqrt(max(fates[1].sum(), 1.0)) / entries,
-            **{name: float(np.average([one[name] for one in told], weights=weights))
+            **{name: float(np.average([one[name] for one in events], weights=weights))
                for name in ("cosine", "directions", "fluctuating")},
             "of_rounds": str(rounds[1:].sum()), "reversed_of_rounds": str(rounds[1]),
             "walls_of_urn_1": str(rounds[0]), "walls_of_urn_2": str(rounds[2]),
@@ -403,10 +403,10 @@ def aged(work: study.Study) -> dict[str, Logs]:
 
         def made(circuit: Circuit = circuit, ages: list[float] = ages) -> Logs:
             turned = reversal(circuit, direction.most_polarised(circuit))
-            told = told_currents(circuit, np.array(ages), many(work))
+            events = told_currents(circuit, np.array(ages), many(work))
             changed = turned["fluctuating"]
             other = told_currents(circuit, np.array(ages), FEW, changed)["current"]
-            return {**told, "changed": other, **turned}
+            return {**events, "changed": other, **turned}
 
         found[str(threshold)] = kept(work, f"aged_{threshold}", made)
     return found
@@ -418,14 +418,14 @@ def by_age(work: study.Study) -> list[Row]:
     `changed`: with the reversals of gate 1 by `reversal`.
     """
     rows: list[Row] = []
-    for threshold, told in aged(work).items():
+    for threshold, events in aged(work).items():
         own = [row for row in read(AGES) if row["T"] == threshold]
-        said, changed = mean_of(told["current"]), mean_of(told["changed"])
+        said, changed = mean_of(events["current"]), mean_of(events["changed"])
         rows += [{
             "T": threshold, "w'": row["w2"], "from": float(row["from"]), "to": float(row["to"]),
             "current": float(row["current"]), "error": float(row["current_error"]),
             "theory": said[0][k], "theory_error": said[1][k], "changed": changed[0][k],
-            "without": float(told["without"]),
+            "without": float(events["without"]),
         } for k, row in enumerate(own)]  # fmt: skip
     return rows
 
@@ -440,14 +440,14 @@ def by_width(work: study.Study) -> list[Row]:
                     gate2_threshold=None if one == other else other)
         )  # fmt: skip
         age = max(50.0 / width**3, 1e4) + 0.5 * float(row["time"]) / 4.0  # 4 replicas
-        told = kept(work, f"width_{at}", lambda of=circuit, age=age: told_currents(
+        events = kept(work, f"width_{at}", lambda of=circuit, age=age: told_currents(
             of, np.array([age]), int(work.pick(4, 12))))  # fmt: skip
-        (theory,), (error,) = mean_of(told["current"])
+        (theory,), (error,) = mean_of(events["current"])
         seen, off = float(row["current"]), float(row["current_error"])
-        around = theory - float(told["without"])
+        around = theory - float(events["without"])
         rows.append({
             "circuit": row["circuit"], "w": row["w"], "age": age, "current": seen, "error": off,
-            "theory": theory, "theory_error": error, "without": float(told["without"]),
+            "theory": theory, "theory_error": error, "without": float(events["without"]),
             "circulating_over_theory": 1.0 + (seen - theory) / around,
             "its_error": math.hypot(off, error * (seen - theory + around) / around) / around,
         })  # fmt: skip
@@ -459,8 +459,8 @@ def checks(work: study.Study, tables: dict[str, list[Row]]) -> list[Row]:
 
     Measured: docs/theory.md#circulation, studies/experiments, studies/tail; and the tables here.
     """
-    told, rows = aged(work), []
-    later = {key: one["current"][:, len(one["current"][0]) - 226 :] for key, one in told.items()}
+    events, rows = aged(work), []
+    later = {key: one["current"][:, len(one["current"][0]) - 226 :] for key, one in events.items()}
     eight = next(row for row in tables["rates"]
                  if row["circuit"] == CASES[0].label and row["rounds"] == "8")  # fmt: skip
 
@@ -480,7 +480,7 @@ def checks(work: study.Study, tables: dict[str, list[Row]]) -> list[Row]:
     for threshold, width in AGED[:2]:
         own = [row for row in tables["ages"] if row["T"] == str(threshold)]
         first, last = ([row["from"] for row in own].index(one) for one in (1000.0, 10000.0))
-        grown = told[str(threshold)]["current"]
+        grown = events[str(threshold)]["current"]
         add(f"growth in a decade from 1000 to 1800 on, T = {threshold}, w' = {width}",
             (own[last]["current"] - own[first]["current"],
              math.hypot(own[last]["error"], own[first]["error"])),

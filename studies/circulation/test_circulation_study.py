@@ -10,7 +10,7 @@ from postproc.theory.models import MODELS
 from studies.circulation import study as circulation
 from studies.circulation.study import Case
 from studies.circulations import circulations
-from studies.event_log import CROSSING1, CROSSING2, ENTRY, REVERSAL, Log, stories
+from studies.event_log import CROSSING1, CROSSING2, ENTRY, REVERSAL, Log, particle_events
 from studies.event_log import Circuit as Table
 
 
@@ -54,8 +54,8 @@ def test_each_passage_has_its_fate() -> None:
     events.append((100.7 + across, REVERSAL, 1, 0))
     time, kind, where, particle = map(np.array, zip(*sorted(events), strict=True))
     log = Log(start + time, kind, where, particle)
-    told = stories(log)
-    fates = circulation.fates_of(told, circulations(told, table).all_rounds, table)
+    followed = particle_events(log)
+    fates = circulation.fates_of(followed, circulations(followed, table).all_rounds, table)
     assert fates[:, :4].tolist() == [[0, 0, 0, 0], [1, 0, 0, 0], [0, 0, 1, 0], [0, 1, 0, 0]]
     mean, variance = circulation.spread_of(log, 10, start + 1000.0)
     assert mean == pytest.approx(10.0, abs=2.0)
