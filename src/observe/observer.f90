@@ -16,8 +16,8 @@
 !> to be too short:
 !> - for all averages, if it is shorter than ten relaxation times of the directions of motion;
 !> - for currents, in a polarised state in which the gate of the sparse urn hardly ever reverses:
-!>   particles that circulate along the axis carry part of the current until that gate turns them
-!>   back, so the run must have several such reversals;
+!>   particles that circulate along the axis carry part of the current until that gate reverses
+!>   them, so the run must have several such reversals;
 !> - for currents from urn 1 to urn 2, if N1 - N2 changed its sign only a few times: their mean is
 !>   over both polarities. The polarised current still has an error.
 module battery_observer

@@ -292,8 +292,8 @@ contains
     call check_status(file, path, 'takes more of the file than its values do', status, error)
   end subroutine check_chunks
 
-  !> Checks that a dataset has numbers of the expected type and extents. Does nothing after an
-  !> error.
+  !> Checks that a dataset has numbers of `wanted_type` and the extents `wanted`, and that its type
+  !> is not a named (committed) one. Does nothing after an error.
   subroutine check_type_and_extents(file, path, dataset, wanted_type, wanted, error)
     type(hdf5_file_type), intent(in) :: file
     character(len=*), intent(in) :: path

@@ -11,8 +11,8 @@
 !> hits a side too, and no particle escapes. A particle is placed exactly on the side that it hits;
 !> each hit sets its speed to 1 by a Newton step.
 !>
-!> Periodic orbits are recognised, and visits truncated, by `boundary_state_type`. Batches of
-!> visits: `polygon_visits.f90`.
+!> Periodic orbits are recognised, and passages truncated, by `boundary_state_type`. Batches of
+!> passages: `polygon_passages.f90`.
 module battery_polygon
   use battery_kinds, only: wp, int64
   use battery_channel, only: channel_type, channel1, channel2, no_channel, facing, is_open
@@ -130,7 +130,7 @@ contains
     end do
     polygon%area = enclosed_area(reshape([polygon%x(:n), polygon%y(:n)], [2, n], order=[2, 1]))
     polygon%perimeter = polygon%outline_length - sum(polygon%width)
-    polygon%truncates_visits = .true.
+    polygon%truncates_passages = .true.
     polygon%overhangs = maxval(polygon%x) > polygon%chord(channel1) .or. &
       maxval(-polygon%x) > polygon%chord(channel2)
     polygon%reach = maxval(hypot(polygon%x, polygon%y))
@@ -437,7 +437,8 @@ contains
     call project_on_side(polygon, side, x, y)
   end subroutine reflect_overshoot_in_polygon
 
-  !> Side that a particle crossed last on its way out of the polygon; 0 if there is none.
+  !> Side through which a particle left the polygon that a time step has moved out of it: where its
+  !> straight path, followed backwards, comes to the polygon; 0 if it does not.
   pure function last_crossed_side(polygon, x, y, ux, uy) result(side)
     type(polygon_type), intent(in) :: polygon
     !> Position and velocity in the frame of the polygon.
@@ -590,16 +591,16 @@ contains
   end subroutine find_first_impact_in_polygon
 
   !> Position of a particle in the polygon at a time relative to a boundary state, or to the end of
-  !> its visit.
+  !> its passage.
   pure subroutine locate_in_polygon(polygon, channel, y, u_axial, u_lateral, since, position, &
     velocity, hits)
     type(polygon_type), intent(in) :: polygon
-    !> Channel through which the visit ends; any other value: it does not end.
+    !> Channel through which the passage ends; any other value: it does not end.
     integer, intent(in) :: channel
     !> Height (a length), |u_x| and u_y at the side of that channel; else a boundary state: arc
     !> length, u_x and u_y.
     real(wp), intent(in) :: y, u_axial, u_lateral
-    !> Time since the boundary state or the end of the visit; below 0: time until then.
+    !> Time since the boundary state or the end of the passage; below 0: time until then.
     real(wp), intent(in) :: since
     !> x and y of each: lengths, and a vector of length 1.
     real(wp), intent(out) :: position(2), velocity(2)

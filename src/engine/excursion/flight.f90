@@ -14,7 +14,7 @@ module battery_flight
   use battery_channel, only: fold_into_channel, facing
   use battery_memory, only: prefer_large_pages
   use battery_table, only: table_type, passage_type, passage_at, channel1, channel2, no_channel
-  use battery_urn, only: urn_type, locate_in_visit, find_first_impact
+  use battery_urn, only: urn_type, locate_in_passage, find_first_impact
   use battery_visits, only: visits_type, truncated
   implicit none (type, external)
   private
@@ -239,7 +239,7 @@ contains
       hits = int(passed, int64)
     else
       elapsed = -min(flight%time - now, flight%length)
-      call locate_in_visit(urn, channel, flight%y, flight%u_axial, flight%u_lateral, elapsed, &
+      call locate_in_passage(urn, channel, flight%y, flight%u_axial, flight%u_lateral, elapsed, &
         position, velocity, hits)
       call trace_back_into_channel(urn, flight%time - now - flight%length, position, velocity, hits)
     end if

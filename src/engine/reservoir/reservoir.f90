@@ -319,8 +319,8 @@ contains
   end subroutine reverse_gate
 
   !> Processes the earliest pending crossing of a line (of a single urn: hit of the end wall): the
-  !> particle moves to the urn beyond. One more particle has ticks, so the next tick comes sooner in
-  !> proportion.
+  !> particle moves to the urn across the line. One more particle has ticks, so the next tick comes
+  !> sooner in proportion.
   subroutine process_line_crossing(self, time, window_start, event_record)
     type(reservoir_type), intent(inout) :: self
     real(wp), intent(in) :: time, window_start

@@ -135,7 +135,8 @@ contains
       stay) + 0.5_wp, int64)
   end function channel_hits
 
-  !> Width of the channel that a particle is in, or was in last.
+  !> Width of the channel that a particle is in. In an urn: of the channel that it was in last,
+  !> since the wall hits of that passage are still corrected.
   elemental function channel_width_of(table, stay) result(width)
     type(table_type), intent(in) :: table
     type(stay_type), intent(in) :: stay

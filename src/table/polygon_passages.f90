@@ -8,7 +8,7 @@
 !>
 !> A visit that has not ended after `most_marches` rounds is finished alone. If its boundary state
 !> recurs, it never ends; else it is truncated, to be continued later.
-module battery_polygon_visits
+module battery_polygon_passages
   use battery_kinds, only: wp, int64
   use battery_channel, only: channel1, channel2
   use battery_motion, only: slowest
@@ -17,7 +17,7 @@ module battery_polygon_visits
   use battery_visits, only: visits_type, group_size, no_channel, truncated, many_hits
   implicit none (type, external)
   private
-  public :: compute_polygon_visits
+  public :: compute_polygon_passages
 
   !> Hits between two compactions, and rounds after which a visit is finished alone.
   integer, parameter :: march_hits = 4, most_marches = 2500
@@ -34,7 +34,7 @@ contains
 
   !> Computes the passages of a batch of visits through the polygon; input and output are explained
   !> at `visits_type`.
-  subroutine compute_polygon_visits(polygon, visits)
+  subroutine compute_polygon_passages(polygon, visits)
     type(polygon_type), intent(in) :: polygon
     type(visits_type), intent(inout) :: visits
     integer :: active, n, j, round
@@ -57,7 +57,7 @@ contains
       call finish_single_visit(polygon, visits, j)
     end do
     visits%all_hits = sum(int(visits%hits(:visits%count), int64))
-  end subroutine compute_polygon_visits
+  end subroutine compute_polygon_passages
 
   !> Copies the start of each visit: position, velocity set to length 1; no visit has ended.
   pure subroutine load_visits(n, x, y, along, across, px, py, ux, uy, hits, length, flies, slot)
@@ -331,7 +331,8 @@ contains
     if (visits%steps(j) >= many_hits) call list_visit_with_many_hits(visits, mine)
   end subroutine store_exit
 
-  !> Adds a visit to the list of those with many hits.
+  !> Lists a visit that has ended or was truncated, so that its start is stored if the visit is long
+  !> (`store_visit_starts`).
   pure subroutine list_visit_with_many_hits(visits, which)
     type(visits_type), intent(inout) :: visits
     !> Its index in the batch.
@@ -409,4 +410,4 @@ contains
     call list_visit_with_many_hits(visits, mine)
   end subroutine store_truncated
 
-end module battery_polygon_visits
+end module battery_polygon_passages
