@@ -54,7 +54,7 @@ module battery_walkers
     integer :: urn_kinds = 1, current = 1
     !> Greatest length of a window; shortest excursion; mean length of a
     !> passage through an urn, by urn.
-    real(wp) :: window = 0.0_wp, shortest = 0.0_wp, mean(2) = 0.0_wp
+    real(wp) :: window = 0.0_wp, lookahead = 0.0_wp, mean(2) = 0.0_wp
     type(draws_type) :: draws
     !> Walkers that enter in a window, ordered by gate, those of a gate by time; for each gate, the
     !> number of them before its own.
@@ -88,7 +88,7 @@ contains
     walkers%well_mixed = well_mixed
     walkers%tally = new_tally(from, to, copies, count(particles%x >= 0.0_wp))
     walkers%urn_kinds = merge(1, 2, are_mirror_images(table%urn))
-    walkers%shortest = shortest_excursion(table)
+    walkers%lookahead = shortest_excursion(table)
     allocate (walkers%gate(copies, 2))
     do urn = 1, 2
       walkers%mean(urn) = mean_urn_passage(table%urn(urn))
@@ -96,7 +96,7 @@ contains
         call new_gate(walkers%gate(copy, urn), threshold(urn))
       end do
     end do
-    walkers%window = min(walkers%shortest, real(batch, wp)*minval(walkers%mean)/real(number, wp))
+    walkers%window = min(walkers%lookahead, real(batch, wp)*minval(walkers%mean)/real(number, wp))
     walkers%draws = new_draws(seed)
     allocate (walkers%time(number), walkers%y(number), walkers%u_axial(number), &
       walkers%u_lateral(number), walkers%through(number), source=0.0_wp)
@@ -349,8 +349,8 @@ contains
         v%u_lateral(j) = 2.0_wp*next_uniform(walkers%draws) - 1.0_wp
         v%u_axial(j) = sqrt((1.0_wp - v%u_lateral(j))*(1.0_wp + v%u_lateral(j)))
         v%through(j) = length(channel)/v%u_axial(j)
-        v%length(j) = walkers%shortest &
-          - log(next_uniform(walkers%draws))*max(walkers%mean(v%urn(j)) - walkers%shortest, 0.0_wp)
+        v%length(j) = walkers%lookahead &
+          - log(next_uniform(walkers%draws))*max(walkers%mean(v%urn(j)) - walkers%lookahead, 0.0_wp)
       end do
     end associate
   end subroutine draw_visit_ends

@@ -121,7 +121,7 @@ contains
     type(results_type) :: results
     type(sources_type) :: sources
     type(string_type), allocatable :: failures(:)
-    integer, allocatable :: wanted(:)
+    integer, allocatable :: replicas_needed(:)
     logical :: found
     integer :: k
 
@@ -131,7 +131,7 @@ contains
     if (.not. allocated(error)) call inspect_journal(plan, progress%complete, found, error)
     if (allocated(error)) return
     call join_journal(journal, journal_folder(plan), rank_files_in(journal_folder(plan)), 0, 0)
-    call collect_results(plan, journal, .false., results, failures, wanted, sources, error)
+    call collect_results(plan, journal, .false., results, failures, replicas_needed, sources, error)
     call close_sources(sources)
     if (allocated(error)) then
       error%message = error%message//leave_it
@@ -151,10 +151,11 @@ contains
       message = plan%file//' is damaged, and is written anew from '//journal_folder(plan) &
         //new_line_character
     end if
-    progress%pending = pack([(k, k=1, task_count(plan))], [(results%task_status(:wanted(k), k) &
-      /= task_complete, spread(.false., 1, plan%replicas - wanted(k)), k=1, plan%point_count)])
+    progress%pending = pack([(k, k=1, task_count(plan))], &
+      [(results%task_status(:replicas_needed(k), k) /= task_complete, spread(.false., 1, &
+      plan%replicas - replicas_needed(k)), k=1, plan%point_count)])
     if (allocated(results%point_status)) call estimate_further_tasks(plan, results%point_status /= &
-      point_undecided, wanted, progress)
+      point_undecided, replicas_needed, progress)
     if (found) message = message//'going on: '//to_text(progress%finished)//' of ' &
       //to_text(progress%finished + size(progress%pending))//' tasks are finished' &
       //further_text(progress)
@@ -171,18 +172,18 @@ contains
   end function further_text
 
   !> Estimates the number of tasks of points whose first replicas are not complete.
-  pure subroutine estimate_further_tasks(plan, decided, wanted, progress)
+  pure subroutine estimate_further_tasks(plan, decided, replicas_needed, progress)
     type(plan_type), intent(in) :: plan
     !> Whether the number of replicas of each point is decided.
     logical, intent(in) :: decided(:)
-    integer, intent(in) :: wanted(:)
+    integer, intent(in) :: replicas_needed(:)
     type(progress_type), intent(inout) :: progress
     integer :: others
 
     others = count(.not. decided)
     progress%further = others*(plan%replicas - plan%first_replicas)
-    if (any(decided)) progress%expected = others*(real(sum(wanted, decided), dp)/count(decided) &
-      - plan%first_replicas)
+    if (any(decided)) progress%expected = others*(real(sum(replicas_needed, decided), dp) &
+      /count(decided) - plan%first_replicas)
   end subroutine estimate_further_tasks
 
   !> Begins the journal of a start with `ranks` ranks, after `rank_files` rank files of earlier

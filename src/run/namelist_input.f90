@@ -315,7 +315,7 @@ contains
     call read_settings(new, all_keys(), now)
     text = ''
     do at = 1, size(now%all)
-      if (.not. now%all(at)%key%decides) cycle
+      if (.not. now%all(at)%key%changes_results) cycle
       if (before%all(at)%canonical == now%all(at)%canonical) cycle
       if (text /= '') text = text//new_line_character
       text = text//'&'//trim(now%all(at)%key%group)//' '//trim(now%all(at)%key%name)//': was ' &

@@ -281,10 +281,10 @@ contains
   !> Reflects a particle at the arc; finds the wall or opening that it reaches next, and the time
   !> `wait` until then (huge if there is none). From a point q of the circle the path to the next
   !> impact has the length -2 q.u: no root, and no cancellation.
-  pure subroutine reflect_in_disc(disc, shortest, x, y, ux, uy, next, wait)
+  pure subroutine reflect_in_disc(disc, clock_resolution, x, y, ux, uy, next, wait)
     type(disc_type), intent(in) :: disc
     !> Shortest time between two impacts that a clock can resolve.
-    real(wp), intent(in) :: shortest
+    real(wp), intent(in) :: clock_resolution
     !> Position and velocity in the frame of the disc.
     real(wp), intent(inout) :: x, y, ux, uy
     !> Next wall or opening, as in `motion_type`.
@@ -304,7 +304,7 @@ contains
     ux = norm*ux
     uy = norm*uy
     wait = 2.0_wp*abs(outward)
-    if (wait < shortest) then
+    if (wait < clock_resolution) then
       ! Motion along the wall: a clock does not resolve the chords, so one instant would have
       ! infinitely many hits.
       next = meets_nothing

@@ -50,7 +50,7 @@ module battery_polygon
     !> Whether the polygon is convex: a path out of it crosses one side only.
     logical :: convex = .false.
     !> Lengths below this may be rounding errors.
-    real(wp) :: sharp = 0.0_wp
+    real(wp) :: tolerance = 0.0_wp
   end type polygon_type
 
   !> Boundary states that differ by less than this, relative to the outline and to 1, are the same.
@@ -134,7 +134,8 @@ contains
     polygon%overhangs = maxval(polygon%x) > polygon%chord(channel1) .or. &
       maxval(-polygon%x) > polygon%chord(channel2)
     polygon%reach = maxval(hypot(polygon%x, polygon%y))
-    polygon%sharp = rounding*(polygon%reach + polygon%chord(channel1) + polygon%length(channel1))
+    polygon%tolerance = rounding*(polygon%reach + polygon%chord(channel1) &
+      + polygon%length(channel1))
     call find_clearance(polygon)
   end subroutine measure_outline
 
@@ -293,10 +294,10 @@ contains
       time = polygon%length_of(k)*((polygon%x(k) - x)*polygon%normal_x(k) &
         + (polygon%y(k) - y)*polygon%normal_y(k))/(after - before)
       if (time >= wait) cycle
-      if (time < -polygon%sharp .and. .not. polygon%convex) then
+      if (time < -polygon%tolerance .and. .not. polygon%convex) then
         ! Skip a side behind the particle, unless only rounding has put it there.
         if (distance_to_side(x, y, [polygon%x(k), polygon%y(k)], [polygon%x(k + 1), &
-          polygon%y(k + 1)]) > polygon%sharp) cycle
+          polygon%y(k + 1)]) > polygon%tolerance) cycle
       end if
       side = k
       wait = time
@@ -323,11 +324,11 @@ contains
     shift_y = 0.0_wp
     do k = 1, polygon%sides
       if (k /= from .and. distance_to_side(x, y, [polygon%x(k), polygon%y(k)], [polygon%x(k + 1), &
-        polygon%y(k + 1)]) > 2.0_wp*polygon%sharp) cycle
+        polygon%y(k + 1)]) > 2.0_wp*polygon%tolerance) cycle
       shift_x = shift_x - polygon%normal_x(k)
       shift_y = shift_y - polygon%normal_y(k)
     end do
-    inwards = polygon%sharp
+    inwards = polygon%tolerance
     do tries = 1, 8
       call find_next_side(polygon, 0, x + inwards*shift_x, y + inwards*shift_y, ux, uy, side, wait)
       if (side > 0) return
@@ -456,7 +457,7 @@ contains
       if (before >= 0.0_wp .or. after < 0.0_wp) cycle
       time = polygon%length_of(k)*((polygon%x(k) - x)*polygon%normal_x(k) &
         + (polygon%y(k) - y)*polygon%normal_y(k))/(after - before)
-      if (time > polygon%sharp .or. time <= latest) cycle
+      if (time > polygon%tolerance .or. time <= latest) cycle
       side = k
       latest = time
     end do
@@ -548,7 +549,7 @@ contains
       x = x + ux*min(wait, rest)
       y = y + uy*min(wait, rest)
       ! A particle that rounding keeps in a corner stays there.
-      at_once = merge(0, at_once + 1, wait > polygon%sharp)
+      at_once = merge(0, at_once + 1, wait > polygon%tolerance)
       if (wait >= rest .or. next < meets_wall .or. at_once > most_at_once) exit
       rest = rest - wait
       side = int(next)

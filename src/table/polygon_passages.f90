@@ -104,7 +104,7 @@ contains
             half_openings(channel2), count, px(first), py(first), ux(first), uy(first), normal_x, &
             normal_y, offset, half_opening)
         else
-          call find_nearest_side(polygon%sides, corner, side, polygon%sharp, count, px(first), &
+          call find_nearest_side(polygon%sides, corner, side, polygon%tolerance, count, px(first), &
             py(first), ux(first), uy(first), normal_x, normal_y, offset, half_opening)
         end if
         call reflect_visits(count, normal_x, normal_y, offset, half_opening, px(first), py(first), &
@@ -178,11 +178,11 @@ contains
   end subroutine find_only_side
 
   !> As `find_only_side`, in any polygon: finds the nearest of the sides that a path leaves through.
-  pure subroutine find_nearest_side(sides, corner, side, sharp, n, px, py, ux, uy, normal_x, &
+  pure subroutine find_nearest_side(sides, corner, side, tolerance, n, px, py, ux, uy, normal_x, &
     normal_y, offset, half_opening)
     integer, intent(in) :: sides, n
     !> As `list_sides` makes them; bound on rounding errors, a length.
-    real(wp), intent(in) :: corner(2, 0:sides), side(4, sides), sharp
+    real(wp), intent(in) :: corner(2, 0:sides), side(4, sides), tolerance
     real(wp), intent(in) :: px(n), py(n), ux(n), uy(n)
     real(wp), intent(out) :: normal_x(n), normal_y(n), offset(n), half_opening(n)
     real(wp) :: before(lanes), ahead(lanes), soonest(lanes)
@@ -193,7 +193,7 @@ contains
       offset, half_opening, before, ahead)
     far = 1.0_wp/slowest
     soonest(:n) = far
-    least = -sharp
+    least = -tolerance
     do k = 1, sides
       x = corner(1, k)
       y = corner(2, k)

@@ -41,7 +41,7 @@ module battery_urn
     real(wp) :: centre = 0.0_wp, periodic_line = 0.0_wp, channel_start(2) = 0.0_wp, axis_sign = &
       1.0_wp
     !> Shortest time between two hits that a clock can resolve.
-    real(wp) :: shortest = 0.0_wp
+    real(wp) :: clock_resolution = 0.0_wp
   end type urn_type
 
   interface urn_type
@@ -236,7 +236,7 @@ contains
     case (shape_polygon)
       call reflect_in_polygon(urn%polygon, x, y, ux, uy, next, wait)
     case default
-      call reflect_in_disc(urn%disc, urn%shortest, x, y, ux, uy, next, wait)
+      call reflect_in_disc(urn%disc, urn%clock_resolution, x, y, ux, uy, next, wait)
     end select
   end subroutine reflect_at_wall
 

@@ -107,7 +107,8 @@ class Bench:
         # What the object defines is not looked for in the archives.
         link_it = [*common, *map(str, self.objects), str(compiled), *map(str, self.archives),
                    *shlex.split(self.libraries), "-lhdf5_hl", "-lhdf5_fortran",
-                   "-lhdf5", "-lcrypto", "-lgsl", "-lgslcblas", "-o", str(folder / self.runner.PROGRAM)]
+                   "-lhdf5", "-lcrypto", "-lgsl", "-lgslcblas",
+                   "-o", str(folder / self.runner.PROGRAM)]
         return all(subprocess.run(command, capture_output=True, check=False).returncode == 0
                    for command in (compile_it, link_it))
 

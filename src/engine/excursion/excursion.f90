@@ -32,9 +32,9 @@ module battery_excursion
   use battery_gate, only: enter_gate, number_inside, first_crossing_time
   use battery_engine, only: engine_type, particles_type, rebase_gates_and_clock
   use battery_event_record, only: event_record_type, reserve_event_record
-  use battery_flight, only: new_flights, make_initial_flight, date_back_flight, load_flights, &
-    store_flights, locate_particle, locate_trapped_particle, to_gate, to_periodic_line, &
-    counted_in_gate, trapped_in_urn, trapped_in_channel, partial_visit
+  use battery_flight, only: new_flights, make_initial_flight, set_flight_to_visit_start, &
+    load_flights, store_flights, locate_particle, locate_trapped_particle, to_gate, &
+    to_periodic_line, counted_in_gate, trapped_in_urn, trapped_in_channel, partial_visit
   use battery_long_visits, only: long_visits_type, new_long_visits, is_long_visit, &
     store_visit_starts, is_nearer_start, locate_from_start, rebase_long_visits, &
     serialize_long_visits
@@ -199,8 +199,8 @@ contains
             do j = 1, v%count
               if (.not. is_long_visit(self%long_visits%least, v%channel(j), v%length(j))) cycle
               i = v%particle(j)
-              call date_back_flight(self%table, particles%x(i), particles%y(i), particles%ux(i), &
-                particles%uy(i), self%flight(i), v%hits(j))
+              call set_flight_to_visit_start(self%table, particles%x(i), particles%y(i), &
+                particles%ux(i), particles%uy(i), self%flight(i), v%hits(j))
             end do
           end associate
           call store_batch_flights(self, b)
