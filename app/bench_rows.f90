@@ -24,7 +24,7 @@ module battery_bench_rows
     real(wp) :: warm_up = 50.0_wp
   end type case_type
 
-  !> Rates of one round, per second of processor time: wall collisions, visits to an urn, and
+  !> Rates of one round, per second of processor time: wall collisions, passages through an urn, and
   !> simulated time summed over the particles.
   type :: rate_type
     real(dp) :: collisions = 0.0_dp, visits = 0.0_dp, particle_time = 0.0_dp

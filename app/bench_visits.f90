@@ -1,21 +1,22 @@
-!> Speed of `compute_visits` alone, for the speed tables: it computes batches of visits to an urn,
-!> as for the visits in a window of the engine `excursion`.
+!> Speed of `compute_passages` alone, for the speed tables: it computes batches of passages
+!> through an urn (called visits here and in the tables), as for the visits in a window of the
+!> engine `excursion`.
 module battery_bench_visits
   use battery_kinds, only: wp, dp, int64
   use battery_bench_rows, only: rate_type
   use battery_clocks, only: cpu_seconds
   use battery_random, only: hashed_uniform
   use battery_table, only: table_type, channel1, channel2
-  use battery_urn, only: urn_type, compute_visits
+  use battery_urn, only: urn_type, compute_passages
   use battery_visits, only: visits_type, reserve_visits
   implicit none (type, external)
   private
   public :: entrances_type, draw_entrances, measure_visits
 
-  !> Number of visits in a batch, and of batches; all of them together fit into the cache.
+  !> Number of passages in a batch, and of batches; all of them together fit into the cache.
   integer, parameter :: batch = 1024, batches = 32
 
-  !> Starts of visits: positions uniform on the openings, directions by the cosine law. Arrays are
+  !> Starts of passages: positions uniform on the openings, directions by the cosine law. Arrays are
   !> (visit, batch).
   type :: entrances_type
     private
@@ -28,7 +29,7 @@ module battery_bench_visits
 
 contains
 
-  !> Draws the starts of visits to urn 1.
+  !> Draws the starts of passages through urn 1.
   subroutine draw_entrances(entrances, table)
     type(entrances_type), intent(out) :: entrances
     type(table_type), intent(in) :: table
@@ -85,7 +86,7 @@ contains
           v%u_axial(:batch) = entrances%u_axial(:, k)
           v%u_lateral(:batch) = entrances%u_lateral(:, k)
           v%hits(:batch) = 0.0_wp
-          call compute_visits(entrances%urn, v)
+          call compute_passages(entrances%urn, v)
           hits = hits + v%all_hits
           visits = visits + batch
           time = time + sum(real(v%length(:batch), dp))

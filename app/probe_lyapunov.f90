@@ -11,7 +11,7 @@ module battery_probe_lyapunov
   use battery_table, only: table_type
   use battery_random, only: hashed_uniform
   use battery_motion, only: motion_type, move_straight, meets_channel_wall, meets_nothing
-  use battery_bounce, only: find_first_wall, hit_wall, pass_line, motion_at
+  use battery_wall_motion, only: find_first_wall, hit_wall, pass_line, motion_at
   use battery_engine, only: particles_type
   use battery_error, only: error_type
   use battery_initial_state, only: read_particles

@@ -62,11 +62,11 @@ contains
     k(3) = k_position + abs(u_lateral)*k(1)
   end function polygon_conditions
 
-  !> Least distance of a visit's path from a corner or from the end of an opening, divided by the
-  !> condition number of the position there.
+  !> Least distance of the path of a passage from a corner or from the end of an opening, divided by
+  !> the condition number of the position there.
   function least_corner_distance(polygon, x, y, ux, uy, most_hits) result(distance)
     type(polygon_type), intent(in) :: polygon
-    !> Start of the visit, in the frame of the polygon.
+    !> Start of the passage, in the frame of the polygon.
     real(wp), intent(in) :: x, y, ux, uy
     !> The path is followed for at most this number of wall hits, and over the flight after them.
     integer, intent(in) :: most_hits

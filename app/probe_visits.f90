@@ -1,5 +1,5 @@
-!> Probe of single visits to an urn: computes random visits in one precision, and compares them with
-!> the same visits in another.
+!> Probe of single passages through an urn, called visits here: computes random ones in one
+!> precision, and compares them with the same ones in another.
 !>
 !> The start of a visit determines its end, whose sensitivity grows with the length of the visit. To
 !> first order, a change of the start by eps changes the direction at the end by K_u eps, the height
@@ -16,7 +16,7 @@ module battery_probe_visits
   use battery_text, only: to_text
   use battery_table, only: table_type, channel1, channel2
   use battery_random, only: hashed_uniform
-  use battery_urn, only: compute_visits, shape_polygon
+  use battery_urn, only: compute_passages, shape_polygon
   use battery_visits, only: visits_type, reserve_visits
   use battery_probe, only: argument, real_argument, integer_argument, rounded_to_bits, &
     precision_name, paper_table, print_json_line, stop_with_message, processor_seconds
@@ -121,7 +121,7 @@ contains
       call draw_entrance(table, first + j, bits, visits%channel(j), visits%x(j), visits%y(j), &
         visits%u_axial(j), visits%u_lateral(j))
     end do
-    call compute_visits(table%urn(1), visits)
+    call compute_passages(table%urn(1), visits)
     do j = 1, n
       found(:, j) = real([opening_sign(visits%channel(j)), visits%y(j), &
         visits%u_axial(j), visits%u_lateral(j), visits%length(j), visits%hits(j)], dp)

@@ -9,7 +9,8 @@
 !>     half2_number flow1_12 flow1_21 flow2_12 flow2_21 entries1 entries2 turned1 turned2
 !>     fuller_number polarised_current
 !>
-!> per copy of the circuit; flows, entries, particles reversed and the current are per unit time.
+!> per copy of the circuit; `turned1` and `turned2` are the particles that gates 1 and 2 reverse.
+!> Flows, entries, particles reversed and the current are per unit time.
 !> `fuller_number` and `polarised_current` refer to the half that is fuller at the time. Units of
 !> length and time are those of the namelist. Called by `postproc.theory.one_particle`.
 program one_particle

@@ -12,16 +12,16 @@
 !> start. Channel 2 has no gate: the next visit of a walker that leaves through it is computed at
 !> once, and its crossing is counted at a time that may be later than the present window.
 !>
-!> With `well_mixed` a visit is independent of its start: its end is drawn from the invariant
-!> measure of entries, and its length is the shortest excursion plus an exponential random number,
-!> with the exact mean.
+!> With `well_mixed` a passage through an urn is independent of its start: its end is drawn from the
+!> invariant measure of entries, and its length is the shortest excursion plus an exponential random
+!> number, with the exact mean.
 module battery_walkers
   use battery_kinds, only: wp, int64, pi
   use battery_table, only: table_type, channel1, channel2, urn_at, x_direction, are_mirror_images, &
     mean_urn_passage, shortest_excursion
   use battery_engine, only: particles_type
   use battery_urn_shape, only: cross_channels
-  use battery_urn, only: compute_visits
+  use battery_urn, only: compute_passages
   use battery_visits, only: visits_type, reserve_visits, no_channel
   use battery_gate, only: gate_type, new_gate, enter_gate, must_reverse, uncount_first, &
     uncount_all, number_inside, counted_particle, next_crossing_time
@@ -48,12 +48,13 @@ module battery_walkers
     !> height, |u_x| and u_y, time through the whole channel; urn of that gate.
     real(wp), allocatable :: time(:), y(:), u_axial(:), u_lateral(:), through(:)
     integer, allocatable :: urn(:)
-    !> Visits by (chamber, batch): `current` is the batch to be computed, the other one has the
-    !> visits that follow. Urns that are mirror images are one chamber.
+    !> Visits by (urn kind, batch): `current` is the batch to be computed, the other one has the
+    !> visits that follow. Urns that are mirror images are one kind.
     type(visits_type) :: visits(2, 2)
     integer :: urn_kinds = 1, current = 1
-    !> Greatest length of a window; shortest excursion; mean length of a visit, by urn.
-    real(wp) :: window = 0.0_wp, shortest = 0.0_wp, mean(2) = 0.0_wp
+    !> Greatest length of a window; shortest excursion; mean length of a
+    !> passage through an urn, by urn.
+    real(wp) :: window = 0.0_wp, lookahead = 0.0_wp, mean(2) = 0.0_wp
     type(draws_type) :: draws
     !> Walkers that enter in a window, ordered by gate, those of a gate by time; for each gate, the
     !> number of them before its own.
@@ -87,7 +88,7 @@ contains
     walkers%well_mixed = well_mixed
     walkers%tally = new_tally(from, to, copies, count(particles%x >= 0.0_wp))
     walkers%urn_kinds = merge(1, 2, are_mirror_images(table%urn))
-    walkers%shortest = shortest_excursion(table)
+    walkers%lookahead = shortest_excursion(table)
     allocate (walkers%gate(copies, 2))
     do urn = 1, 2
       walkers%mean(urn) = mean_urn_passage(table%urn(urn))
@@ -95,7 +96,7 @@ contains
         call new_gate(walkers%gate(copy, urn), threshold(urn))
       end do
     end do
-    walkers%window = min(walkers%shortest, real(batch, wp)*minval(walkers%mean)/real(number, wp))
+    walkers%window = min(walkers%lookahead, real(batch, wp)*minval(walkers%mean)/real(number, wp))
     walkers%draws = new_draws(seed)
     allocate (walkers%time(number), walkers%y(number), walkers%u_axial(number), &
       walkers%u_lateral(number), walkers%through(number), source=0.0_wp)
@@ -323,7 +324,7 @@ contains
         if (walkers%well_mixed) then
           call draw_visit_ends(walkers, v)
         else
-          call compute_visits(walkers%table%urn(urn_kind), v)
+          call compute_passages(walkers%table%urn(urn_kind), v)
         end if
         call store_entries(walkers, v)
       end associate
@@ -332,8 +333,8 @@ contains
     walkers%current = 3 - walkers%current
   end subroutine compute_current_visits
 
-  !> Draws the ends of visits from the invariant measure of entries: opening in proportion to its
-  !> width, height uniform, direction by the cosine law.
+  !> Draws the ends of passages through an urn from the invariant measure of entries: opening in
+  !> proportion to its width, height uniform, direction by the cosine law.
   subroutine draw_visit_ends(walkers, v)
     type(walkers_type), intent(inout) :: walkers
     type(visits_type), intent(inout) :: v
@@ -348,8 +349,8 @@ contains
         v%u_lateral(j) = 2.0_wp*next_uniform(walkers%draws) - 1.0_wp
         v%u_axial(j) = sqrt((1.0_wp - v%u_lateral(j))*(1.0_wp + v%u_lateral(j)))
         v%through(j) = length(channel)/v%u_axial(j)
-        v%length(j) = walkers%shortest &
-          - log(next_uniform(walkers%draws))*max(walkers%mean(v%urn(j)) - walkers%shortest, 0.0_wp)
+        v%length(j) = walkers%lookahead &
+          - log(next_uniform(walkers%draws))*max(walkers%mean(v%urn(j)) - walkers%lookahead, 0.0_wp)
       end do
     end associate
   end subroutine draw_visit_ends
@@ -383,7 +384,7 @@ contains
     end do
   end subroutine store_entries
 
-  !> Empties batch `batch_index` (1 or 2) of all chambers, and allocates it for `capacity` visits.
+  !> Empties batch `batch_index` (1 or 2) of all urn kinds, and allocates it for `capacity` visits.
   subroutine reserve_batch(walkers, batch_index, capacity)
     type(walkers_type), intent(inout) :: walkers
     integer, intent(in) :: batch_index, capacity

@@ -29,20 +29,20 @@ module renewal_equations
 contains
 
   !> Probability that a particle is still inside at a time `age` after its entry.
-  pure elemental function stay_probability(age) result(chance)
+  pure elemental function time_in_gate_probability(age) result(chance)
     real(wp), intent(in) :: age
     real(wp) :: chance
     chance = 1.0_wp
     if (age > 1.0_wp) chance = 1.0_wp/(age**2 + age*sqrt((age - 1.0_wp)*(age + 1.0_wp)))
-  end function stay_probability
+  end function time_in_gate_probability
 
   !> Mean time that a particle spends inside until a time `age` after its entry.
-  pure elemental function mean_stay(age) result(time)
+  pure elemental function mean_time_in_gate(age) result(time)
     real(wp), intent(in) :: age
     real(wp) :: time
     time = age
     if (age > 1.0_wp) time = 1.0_wp/(age + sqrt((age - 1.0_wp)*(age + 1.0_wp))) + acos(1.0_wp/age)
-  end function mean_stay
+  end function mean_time_in_gate
 
   !> Integrates the equations of a gate, and computes the share of particles that pass it.
   subroutine solve_gate(nu, threshold, order, cells, max_time, share, survivors)
@@ -272,8 +272,8 @@ contains
       mu(i) = 0.0_wp
       if (t - from(i) > 1.0_wp) then
         own = min(to(i), t)
-        mu(i) = (stay_probability(t - own) - stay_probability(t - from(i)))/(mean_stay(t &
-          - from(i)) - mean_stay(t - own))
+        mu(i) = (time_in_gate_probability(t - own) - time_in_gate_probability(t - from(i))) &
+          /(mean_time_in_gate(t - from(i)) - mean_time_in_gate(t - own))
       end if
     end do
     slope = 0.0_wp

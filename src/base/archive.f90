@@ -49,7 +49,8 @@ module battery_archive
     !> is checked on reading. Up to four lists of reals may be passed in one call, each after its
     !> name.
     generic :: serialize_list => serialize_int32_list, serialize_real_list
-    !> Whether an item did not match what was expected.
+    !> Whether a component read from the archive differed in name, kind or size from the one asked
+    !> for.
     procedure :: failed
     !> Whether all that was written has been read.
     procedure :: at_end
@@ -96,7 +97,8 @@ contains
     end if
   end function archive_of
 
-  !> Whether an item did not match what was expected.
+  !> Whether a component read from the archive differed in name, kind or size from the one asked
+  !> for.
   pure logical function failed(self)
     class(archive_type), intent(in) :: self
 

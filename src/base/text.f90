@@ -240,11 +240,9 @@ contains
     end do
   end function join
 
-  !> Whether a list contains a word.
+  !> Whether `word` is in `list`, trailing blanks included.
   pure logical function is_one_of(word, list) result(found)
-    !> Word; trailing blanks are significant.
     character(len=*), intent(in) :: word
-    !> Allowed texts.
     type(string_type), intent(in) :: list(:)
     integer :: at
 

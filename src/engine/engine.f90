@@ -27,6 +27,7 @@ module battery_engine
     type(table_type) :: table
     !> The gates of urn 1 and urn 2.
     type(gate_type) :: gate(2)
+    !> Number of particles.
     integer :: number = 0
     !> Set before `start` or `serialize_state`: the step of an engine that has one, and the seed, 0
     !> to 2**32 - 1, of one that draws random numbers.

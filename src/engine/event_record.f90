@@ -81,7 +81,8 @@ contains
       grow_event_record(event_record, crossings, events)
   end subroutine reserve_event_record
 
-  !> Enlarges the arrays for that many crossings and events, at least doubling those that must grow.
+  !> Enlarges the arrays to at least `crossings` crossings and `events` events; those that must grow
+  !> are at least doubled.
   subroutine grow_event_record(event_record, crossings, events)
     type(event_record_type), intent(inout) :: event_record
     !> Total number to fit; events only if they are logged.

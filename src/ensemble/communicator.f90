@@ -52,7 +52,7 @@ module battery_communicator
 
   !> The task queue as one rank accesses it.
   type :: task_queue_type
-    type(MPI_Win) :: window
+    type(MPI_Win) :: shared_memory
     !> Number of tasks in the list.
     integer :: tasks = 0
     !> Ranks that access the queue, which is in the memory of rank 0.
@@ -222,7 +222,7 @@ contains
       *storage_size(1_int64)/8
     if (present(error)) call MPI_Comm_set_errhandler(communicator%ranks, MPI_ERRORS_RETURN)
     call MPI_Win_allocate(bytes, storage_size(1_int64)/8, MPI_INFO_NULL, communicator%ranks, base, &
-      task_queue%window, status)
+      task_queue%shared_memory, status)
     if (present(error)) then
       call MPI_Comm_set_errhandler(communicator%ranks, MPI_ERRORS_ARE_FATAL)
       if (status /= MPI_SUCCESS) call fatal_error(error, 'battery: '//mpi_library()//' has no ' &
@@ -231,12 +231,12 @@ contains
       call share_error(communicator, error)
       if (allocated(error)) return
     end if
-    call MPI_Win_lock_all(0, task_queue%window)
+    call MPI_Win_lock_all(0, task_queue%shared_memory)
     if (communicator%rank == 0) then
       call c_f_pointer(base, entries, [counter_count + task_queue%tasks])
       entries(:counter_count) = 0
       entries(counter_count + 1:) = tasks
-      call MPI_Win_sync(task_queue%window)
+      call MPI_Win_sync(task_queue%shared_memory)
     end if
     call MPI_Barrier(communicator%ranks)
   end subroutine open_task_queue
@@ -253,8 +253,8 @@ contains
     call add_to_counter(task_queue, next_task, 1_int64, place)
     if (place >= task_queue%tasks) return
     call MPI_Get(entry, 1, MPI_INTEGER8, 0, int(counter_count + place, MPI_ADDRESS_KIND), 1, &
-      MPI_INTEGER8, task_queue%window)
-    call MPI_Win_flush(0, task_queue%window)
+      MPI_INTEGER8, task_queue%shared_memory)
+    call MPI_Win_flush(0, task_queue%shared_memory)
     task = int(entry)
   end subroutine fetch_task
 
@@ -272,8 +272,8 @@ contains
   subroutine close_task_queue(task_queue)
     type(task_queue_type), intent(inout) :: task_queue
 
-    call MPI_Win_unlock_all(task_queue%window)
-    call MPI_Win_free(task_queue%window)
+    call MPI_Win_unlock_all(task_queue%shared_memory)
+    call MPI_Win_free(task_queue%shared_memory)
   end subroutine close_task_queue
 
   !> Adds to a counter atomically and returns its value before.
@@ -288,8 +288,8 @@ contains
     integer(int64), asynchronous :: found
 
     call MPI_Fetch_and_op(amount, found, MPI_INTEGER8, 0, int(entry - 1, MPI_ADDRESS_KIND), &
-      MPI_SUM, task_queue%window)
-    call MPI_Win_flush(0, task_queue%window)
+      MPI_SUM, task_queue%shared_memory)
+    call MPI_Win_flush(0, task_queue%shared_memory)
     if (present(before)) before = found
   end subroutine add_to_counter
 

@@ -3,11 +3,11 @@
 !> - `plan`: the namelist, and the fingerprint of the initial file;
 !> - `rank_N`: results of finished tasks, appended one by one; each rank of each start has its own;
 !> - `task_N.a`, `task_N.b`: the state of a long task, two generations, so that one is always whole;
-!>   N is the task identifier, since the number of a task changes as a scan grows.
+!>   N is the `task_id`, since the number of a task changes as a scan grows.
 !>
 !> All are record files with checksums: a truncated or damaged record is detected, and its task
-!> repeated. Every record has its task identifier (`battery_identity`): a record of another input is
-!> never taken for one of this run. A state also has the names of its components
+!> repeated. Every record has the `task_id` of its task (`battery_identity`): a record of another
+!> input is never taken for one of this run. A state also has the names of its components
 !> (`battery_archive`): a state of another format is not used, and its task starts again.
 module battery_journal
   use battery_kinds, only: dp, int64
@@ -141,7 +141,7 @@ contains
       journal%ranks - 1)]
   end function rank_files_of
 
-  !> Task identifiers of the first valid record of every file but the plan: without a plan they show
+  !> `task_id` of the first valid record of every file but the plan: without a plan they show
   !> to which input the journal belongs.
   function task_ids_in(folder) result(task_id)
     !> Folder of the journal.

@@ -74,11 +74,11 @@ contains
     type(hdf5_file_type) :: file
     type(metadata_type) :: metadata
     type(output_datasets_type) :: output_datasets
-    integer, allocatable :: wanted(:)
+    integer, allocatable :: replicas_needed(:)
 
-    call collect_results(plan, journal, .true., results, failures, wanted, sources, error)
+    call collect_results(plan, journal, .true., results, failures, replicas_needed, sources, error)
     if (allocated(error)) return
-    call drop_unwanted_replicas(results, wanted)
+    call drop_unwanted_replicas(results, replicas_needed)
     call describe_sources(plan, journal, start_date, results, metadata)
     call create_results(plan%file, results, metadata, file, error)
     call prepare_output_datasets(file, sources%largest, real(plan%series_interval, dp), &
@@ -135,7 +135,8 @@ contains
 
   !> Collects the numbers of all results, and the places of their task outputs. An existing results
   !> file is read only if the journal does not have all tasks.
-  subroutine collect_results(plan, journal, makes_file, results, failures, wanted, sources, error)
+  subroutine collect_results(plan, journal, makes_file, results, failures, replicas_needed, &
+    sources, error)
     type(plan_type), intent(in) :: plan
     type(journal_type), intent(in) :: journal
     !> Whether a new file is to be made from the results. Then points and seeds are set; and if
@@ -145,7 +146,7 @@ contains
     !> Reason for which each task failed; not allocated for the others.
     type(string_type), allocatable, intent(out) :: failures(:)
     !> Number of replicas required at each point.
-    integer, allocatable, intent(out) :: wanted(:)
+    integer, allocatable, intent(out) :: replicas_needed(:)
     !> Sources, to be closed with `close_sources`; not open after an error.
     type(sources_type), intent(out) :: sources
     !> The old file is undamaged, but was not written by this program; a damaged file is ignored.
@@ -197,7 +198,7 @@ contains
         deallocate (error)
       end if
     end if
-    call decide_replicas(plan, results, wanted)
+    call decide_replicas(plan, results, replicas_needed)
 
   contains
 
@@ -336,15 +337,15 @@ contains
   end function ended_early
 
   !> Removes replicas beyond the number that their point needs: an earlier run may have needed more.
-  subroutine drop_unwanted_replicas(results, wanted)
+  subroutine drop_unwanted_replicas(results, replicas_needed)
     type(results_type), intent(inout) :: results
-    integer, intent(in) :: wanted(:)
+    integer, intent(in) :: replicas_needed(:)
     integer :: p
 
     if (.not. allocated(results%point_status)) return
-    do p = 1, size(wanted)
+    do p = 1, size(replicas_needed)
       if (results%point_status(p) == point_undecided) cycle
-      associate (n => wanted(p) + 1)
+      associate (n => replicas_needed(p) + 1)
         results%task_status(n:, p) = task_not_asked
         results%average(n:, p, :) = unknown_real()
         results%error(n:, p, :) = unknown_real()

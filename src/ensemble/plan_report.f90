@@ -40,19 +40,19 @@ contains
     type(free_memory_type) :: available
     type(estimate_type) :: estimate
     type(progress_type) :: progress
-    character(len=:), allocatable :: remark
+    character(len=:), allocatable :: message
     type(string_type), allocatable :: remarks(:)
     real(dp) :: seconds, rate
     integer :: at
 
-    remark = ''
+    message = ''
     if (overwrite) then
       progress = initial_progress(plan)
     else
-      call inspect_output(plan, progress, remark, error)
+      call inspect_output(plan, progress, message, error)
     end if
     if (allocated(error)) return
-    if (remark /= '') call print_line(remark)
+    if (message /= '') call print_line(message)
     available = available_memory(sharing)
     estimate = estimate_of(plan, available)
     call print_parameters(plan)
@@ -245,7 +245,7 @@ contains
       task = task_of(plan, pending(1 + int(int(size(pending) - 1, int64)*(k - 1) &
         /max(tries - 1, 1))))
       if (task%number > most) cycle
-      call initial_particles(task, plan%start, particles, error)
+      call initial_particles(task, plan%file_particles, particles, error)
       if (.not. allocated(error)) call begin_simulation(simulation, task%setup, particles, error)
       if (allocated(error)) return
       began = cpu_seconds()

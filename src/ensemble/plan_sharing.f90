@@ -48,8 +48,8 @@ contains
     plan%file = found%file
     plan%initial_fingerprint = found%initial_fingerprint
     if (plan%initial_fingerprint == 0) return
-    plan%start = found%start
-    plan%base%urn1_number = count(plan%start%x < 0.0_wp)
+    plan%file_particles = found%file_particles
+    plan%base%urn1_number = count(plan%file_particles%x < 0.0_wp)
   end subroutine read_plan_once
 
   !> Saves or restores what rank 0 has read: text, initial particles, and their fingerprint.
@@ -61,8 +61,8 @@ contains
     call archive%serialize_text('file', plan%file)
     call archive%serialize('initial_fingerprint', plan%initial_fingerprint)
     if (plan%initial_fingerprint == 0) return
-    call archive%serialize_list('x', plan%start%x, 'y', plan%start%y, 'ux', plan%start%ux, &
-      'uy', plan%start%uy)
+    call archive%serialize_list('x', plan%file_particles%x, 'y', plan%file_particles%y, 'ux', &
+      plan%file_particles%ux, 'uy', plan%file_particles%uy)
   end subroutine serialize_input
 
 end module battery_plan_sharing

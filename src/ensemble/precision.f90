@@ -30,18 +30,18 @@ module battery_precision
 contains
 
   !> Decides the number of replicas of each point whose first replicas are complete.
-  subroutine decide_replicas(plan, results, wanted)
+  subroutine decide_replicas(plan, results, replicas_needed)
     type(plan_type), intent(in) :: plan
     !> Results, in which the status and the errors of each point are set.
     type(results_type), intent(inout) :: results
     !> Number of replicas of each point.
-    integer, allocatable, intent(out) :: wanted(:)
+    integer, allocatable, intent(out) :: replicas_needed(:)
     real(dp) :: factor, scatter(2), needed
     integer :: place(2), n, p, k
     logical :: asked(2)
 
     n = plan%first_replicas
-    allocate (wanted(plan%point_count), source=n)
+    allocate (replicas_needed(plan%point_count), source=n)
     asked = plan%precision > 0.0_wp
     if (.not. any(asked)) return
     allocate (results%point_status(plan%point_count), source=point_undecided)
@@ -63,13 +63,13 @@ contains
       if (.not. any(asked .and. ieee_is_nan(scatter))) then
         needed = maxval((scatter/merge(real(plan%precision, dp), 1.0_dp, asked))**2, asked)
         if (needed <= plan%replicas) results%point_status(p) = point_precise
-        wanted(p) = max(n, ceiling(min(needed, real(plan%replicas, dp))))
+        replicas_needed(p) = max(n, ceiling(min(needed, real(plan%replicas, dp))))
       end if
-      if (any(results%task_status(:wanted(p), p) /= task_complete)) cycle
-      if (has_two_states(results%average(:wanted(p), p, place(1)))) then
+      if (any(results%task_status(:replicas_needed(p), p) /= task_complete)) cycle
+      if (has_two_states(results%average(:replicas_needed(p), p, place(1)))) then
         results%point_status(p) = point_two_states
       else
-        results%replica_error(p, :) = scatter/sqrt(real(wanted(p), dp))
+        results%replica_error(p, :) = scatter/sqrt(real(replicas_needed(p), dp))
       end if
     end do
   end subroutine decide_replicas

@@ -121,7 +121,7 @@ contains
       'battery --self-test', plan, error)
     if (allocated(error)) return
     ! As if read from an initial file; any fingerprint except 0 will do.
-    plan%start = log%start
+    plan%file_particles = log%start
     plan%base%urn1_number = count(log%start%x < 0.0_wp)
     plan%initial_fingerprint = 1_int64
     call run_ensemble(plan, communicator, overwrite=.false., quiet=.true., exit_code=exit_code, &

@@ -84,7 +84,7 @@ contains
     integer, intent(out) :: rank_files
     integer, allocatable, intent(inout) :: pending(:)
     type(error_type), allocatable, intent(out) :: error
-    character(len=:), allocatable :: remark
+    character(len=:), allocatable :: message, remark
     type(progress_type) :: progress
 
     complete = .false.
@@ -92,11 +92,11 @@ contains
     call check_journal(journal_folder(plan), error)
     if (.not. allocated(error) .and. overwrite) call remove_file(plan%file, error)
     if (.not. allocated(error) .and. overwrite) call remove_journal(journal_folder(plan), error)
-    if (.not. allocated(error)) call inspect_output(plan, progress, remark, error)
+    if (.not. allocated(error)) call inspect_output(plan, progress, message, error)
     if (allocated(error)) return
     complete = progress%complete
     pending = progress%pending
-    if (remark /= '' .and. .not. quiet) call print_line(remark)
+    if (message /= '' .and. .not. quiet) call print_line(message)
     if (complete) then
       call remove_journal(journal_folder(plan), error)
     else
@@ -109,11 +109,11 @@ contains
   end subroutine begin_on_rank0
 
   !> Determines the progress of an ensemble from its results file and its journal; writes nothing.
-  subroutine inspect_output(plan, progress, remark, error)
+  subroutine inspect_output(plan, progress, message, error)
     type(plan_type), intent(in) :: plan
     type(progress_type), intent(out) :: progress
-    !> Remark for the user; may be empty.
-    character(len=:), allocatable, intent(out) :: remark
+    !> Message for the user; may be empty.
+    character(len=:), allocatable, intent(out) :: message
     !> Existing files are of another input; code `exit_bad_input`.
     type(error_type), allocatable, intent(out) :: error
     type(error_type), allocatable :: damage
@@ -121,17 +121,17 @@ contains
     type(results_type) :: results
     type(sources_type) :: sources
     type(string_type), allocatable :: failures(:)
-    integer, allocatable :: wanted(:)
+    integer, allocatable :: replicas_needed(:)
     logical :: found
     integer :: k
 
     allocate (progress%pending(0))
-    remark = ''
+    message = ''
     call inspect_results_file(plan, progress%complete, damage, error)
     if (.not. allocated(error)) call inspect_journal(plan, progress%complete, found, error)
     if (allocated(error)) return
     call join_journal(journal, journal_folder(plan), rank_files_in(journal_folder(plan)), 0, 0)
-    call collect_results(plan, journal, .false., results, failures, wanted, sources, error)
+    call collect_results(plan, journal, .false., results, failures, replicas_needed, sources, error)
     call close_sources(sources)
     if (allocated(error)) then
       error%message = error%message//leave_it
@@ -139,7 +139,7 @@ contains
     end if
     progress%finished = count(results%task_status == task_complete)
     if (progress%complete) then
-      remark = plan%file//' is complete; --overwrite runs it again'
+      message = plan%file//' is complete; --overwrite runs it again'
       return
     end if
     found = found .or. progress%finished > 0
@@ -148,14 +148,15 @@ contains
         call move_alloc(damage, error)
         return
       end if
-      remark = plan%file//' is damaged, and is written anew from '//journal_folder(plan) &
+      message = plan%file//' is damaged, and is written anew from '//journal_folder(plan) &
         //new_line_character
     end if
-    progress%pending = pack([(k, k=1, task_count(plan))], [(results%task_status(:wanted(k), k) &
-      /= task_complete, spread(.false., 1, plan%replicas - wanted(k)), k=1, plan%point_count)])
+    progress%pending = pack([(k, k=1, task_count(plan))], &
+      [(results%task_status(:replicas_needed(k), k) /= task_complete, spread(.false., 1, &
+      plan%replicas - replicas_needed(k)), k=1, plan%point_count)])
     if (allocated(results%point_status)) call estimate_further_tasks(plan, results%point_status /= &
-      point_undecided, wanted, progress)
-    if (found) remark = remark//'going on: '//to_text(progress%finished)//' of ' &
+      point_undecided, replicas_needed, progress)
+    if (found) message = message//'going on: '//to_text(progress%finished)//' of ' &
       //to_text(progress%finished + size(progress%pending))//' tasks are finished' &
       //further_text(progress)
   end subroutine inspect_output
@@ -171,18 +172,18 @@ contains
   end function further_text
 
   !> Estimates the number of tasks of points whose first replicas are not complete.
-  pure subroutine estimate_further_tasks(plan, decided, wanted, progress)
+  pure subroutine estimate_further_tasks(plan, decided, replicas_needed, progress)
     type(plan_type), intent(in) :: plan
     !> Whether the number of replicas of each point is decided.
     logical, intent(in) :: decided(:)
-    integer, intent(in) :: wanted(:)
+    integer, intent(in) :: replicas_needed(:)
     type(progress_type), intent(inout) :: progress
     integer :: others
 
     others = count(.not. decided)
     progress%further = others*(plan%replicas - plan%first_replicas)
-    if (any(decided)) progress%expected = others*(real(sum(wanted, decided), dp)/count(decided) &
-      - plan%first_replicas)
+    if (any(decided)) progress%expected = others*(real(sum(replicas_needed, decided), dp) &
+      /count(decided) - plan%first_replicas)
   end subroutine estimate_further_tasks
 
   !> Begins the journal of a start with `ranks` ranks, after `rank_files` rank files of earlier

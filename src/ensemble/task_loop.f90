@@ -74,8 +74,8 @@ contains
       if (stop_is_wanted()) exit
       call fetch_task(task_queue, task)
       if (task == 0) exit
-      call run_task(task_of(plan, task), plan%start, journal, task_queue, monitor, progress_line, &
-        found, stopped, error)
+      call run_task(task_of(plan, task), plan%file_particles, journal, task_queue, monitor, &
+        progress_line, found, stopped, error)
       if (stopped .or. allocated(error)) exit
       call write_finished(journal, found, error)
       if (allocated(error)) exit
@@ -132,11 +132,11 @@ contains
 
   !> Runs a task to its end, or until the run must stop; then its state is saved and `stopped` set.
   !> An error of the task itself becomes a failed result; `error` is an error of the journal.
-  subroutine run_task(task, start, journal, task_queue, monitor, progress_line, found, stopped, &
-    error)
+  subroutine run_task(task, file_particles, journal, task_queue, monitor, progress_line, found, &
+    stopped, error)
     type(task_type), intent(in) :: task
     !> Particles of the initial file; arrays are not allocated if there is none.
-    type(particles_type), intent(in) :: start
+    type(particles_type), intent(in) :: file_particles
     type(journal_type), intent(inout) :: journal
     type(task_queue_type), intent(in) :: task_queue
     type(monitor_type), intent(inout) :: monitor
@@ -154,7 +154,7 @@ contains
     start_seconds = wall_seconds()
     start_date = utc_seconds()
     cpu_at_start = cpu_seconds()
-    call resume_or_begin_task(task, start, journal, simulation, cpu_before, failure)
+    call resume_or_begin_task(task, file_particles, journal, simulation, cpu_before, failure)
     reported = 0
     if (.not. allocated(failure)) reported = simulation%observer%collisions
     monitor%next_checkpoint = wall_seconds() + monitor%checkpoint_interval
@@ -220,9 +220,9 @@ contains
   end subroutine advance_some_windows
 
   !> Continues a task from its saved state if there is one, else begins it.
-  subroutine resume_or_begin_task(task, start, journal, simulation, cpu_before, error)
+  subroutine resume_or_begin_task(task, file_particles, journal, simulation, cpu_before, error)
     type(task_type), intent(in) :: task
-    type(particles_type), intent(in) :: start
+    type(particles_type), intent(in) :: file_particles
     type(journal_type), intent(inout) :: journal
     type(simulation_type), intent(out) :: simulation
     real(dp), intent(out) :: cpu_before
@@ -236,7 +236,7 @@ contains
     if (allocated(error)) return
     call read_state(journal, task, simulation, cpu_before, resumed, error)
     if (resumed .or. allocated(error)) return
-    call initial_particles(task, start, particles, error)
+    call initial_particles(task, file_particles, particles, error)
     if (allocated(error)) return
     call begin_simulation(simulation, task%setup, particles, error)
   end subroutine resume_or_begin_task

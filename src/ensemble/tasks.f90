@@ -22,12 +22,12 @@ module battery_tasks
     integer :: task = 0, point = 0, replica = 0
     type(setup_type) :: setup
     integer :: number = 0, urn1_number = 0
-    !> Identifier of the task in records of its result and of its saved state.
+    !> Hash of the task and its output: names its records of result and saved state.
     integer(int64) :: task_id = 0
     logical :: final_state = .false.
   end type task_type
 
-  !> Numbers of the tasks of a plan by their identifiers: a hash table that is never full.
+  !> Numbers of the tasks of a plan by their `task_id`: a hash table that is never full.
   type :: task_index_type
     private
     integer(int64), allocatable :: task_id(:)
@@ -63,7 +63,8 @@ contains
     task%task_id = task_id_with(task%setup%seed, task%setup, task%final_state)
   end function task_of
 
-  !> Task identifier, reconstructed from the seed in a results file and the plan it was made from.
+  !> `task_id` of a task, reconstructed from the seed in a results file and the plan it was made
+  !> from.
   integer(int64) function task_id_in_results(plan, seed) result(task_id)
     type(plan_type), intent(in) :: plan
     !> Seed in the results file.
@@ -89,10 +90,10 @@ contains
     end do
   end function task_index_of
 
-  !> Number of the task with an identifier; 0 if the plan has no such task.
+  !> Number of the task with a given `task_id`; 0 if the plan has no such task.
   pure integer function task_number_of(task_index, task_id) result(number)
     type(task_index_type), intent(in) :: task_index
-    !> Identifier, `task_type%task_id`.
+    !> As in `task_type`.
     integer(int64), intent(in) :: task_id
 
     number = task_index%number(slot_of(task_index, task_id))
@@ -112,9 +113,9 @@ contains
     end do
   end function slot_of
 
-  !> Expected cost of a task, in units of a wall collision. A visit to an urn has a fixed cost of
-  !> many collisions besides its own (measured: 70 ns against 2 ns); the number of visits follows
-  !> from the widths. Systems that exceed the cache cost more.
+  !> Expected cost of a task, in units of a wall collision. A passage through an urn has a fixed
+  !> cost of many collisions besides its own (measured: 70 ns against 2 ns); the number of passages
+  !> follows from the widths. Systems that exceed the cache cost more.
   pure function cost_of(plan, task) result(cost)
     type(plan_type), intent(in) :: plan
     integer, intent(in) :: task

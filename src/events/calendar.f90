@@ -41,7 +41,7 @@ module battery_calendar
 
   !> Events of a block, a power of two. A block is a cache line: with few buckets, all lines being
   !> written to stay in the cache for any number of particles.
-  integer(int32), parameter :: places = 16
+  integer(int32), parameter :: block_size = 16
 
   !> With up to 2**crowd particles a bucket holds about ten events; with more particles, more.
   integer, parameter :: crowd = 14
@@ -51,7 +51,7 @@ module battery_calendar
     !> Length of an epoch and width of a bucket, powers of two.
     real(wp) :: epoch = 0.0_wp, width = 0.0_wp, per_width = 0.0_wp
     integer :: buckets = 0
-    !> Particles of each bucket, in blocks: block b has the places from b*places on.
+    !> Particles of each bucket, in blocks: block b has the places from b*block_size on.
     integer(int32), allocatable :: bucket_particle(:)
     !> Place for the next event of each bucket, or 0 if it is empty. At the first place of a block
     !> the previous block is full.
@@ -88,8 +88,9 @@ contains
     calendar%per_width = 1.0_wp/calendar%width
     allocate (calendar%next_place(calendar%buckets), source=0_int32)
     ! Each bucket that is not empty has at most one block that is not full.
-    blocks = number/places + min(number, calendar%buckets)
-    allocate (calendar%bucket_particle(0:places*blocks - 1), calendar%block_before(0:blocks - 1))
+    blocks = number/block_size + min(number, calendar%buckets)
+    allocate (calendar%bucket_particle(0:block_size*blocks - 1), calendar%block_before(0:blocks &
+      - 1))
     calendar%free_blocks = blocks
     calendar%free_block = [(int(blocks - k, int32), k=1, blocks)]
     allocate (calendar%due_time(number), calendar%particle(number))
@@ -161,12 +162,12 @@ contains
       end if
       bucket = 1 + int(time(k)*per_width)
       at = next_place(bucket)
-      if (modulo(at, places) == 0) then
-        before = at/places - 1
+      if (modulo(at, block_size) == 0) then
+        before = at/block_size - 1
         at = free_block(free_blocks)
         free_blocks = free_blocks - 1
         block_before(at) = before
-        at = places*at
+        at = block_size*at
       end if
       bucket_particle(at) = int(particle(k), int32)
       next_place(bucket) = at + 1
@@ -209,17 +210,17 @@ contains
     do bucket = 1, buckets
       if (next_place(bucket) == 0) cycle
       n = sorted
-      block = (next_place(bucket) - 1)/places
-      events = next_place(bucket) - places*block
+      block = (next_place(bucket) - 1)/block_size
+      events = next_place(bucket) - block_size*block
       next_place(bucket) = 0
       do while (block >= 0)
         do k = 1, events
-          i = bucket_particle(places*block + k - 1)
+          i = bucket_particle(block_size*block + k - 1)
           particle(n + k) = i
           due_time(n + k) = flight(i)%due
         end do
         n = n + events
-        events = places
+        events = block_size
         free_blocks = free_blocks + 1
         free_block(free_blocks) = block
         block = block_before(block)

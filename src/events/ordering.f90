@@ -11,10 +11,10 @@ module battery_ordering
   !> Number of times that are compared with another time at once.
   integer, parameter :: block = 8
   !> Longest list that is sorted by counting.
-  integer, parameter, public :: longest_counted = 16*block
-  !> Lists longer than `longest_unbinned` are first distributed to bins of about `events_a_bin`
+  integer, parameter, public :: longest_counting_sort = 16*block
+  !> Lists longer than `longest_without_bins` are first distributed to bins of about `events_a_bin`
   !> events.
-  integer, parameter, public :: longest_unbinned = 32
+  integer, parameter, public :: longest_without_bins = 32
   integer, parameter :: events_a_bin = 10
 
 contains
@@ -29,7 +29,7 @@ contains
     integer, intent(inout) :: number(n)
     real(wp) :: least, most
 
-    if (n <= longest_unbinned) then
+    if (n <= longest_without_bins) then
       call order_by_counting(n, time, number)
       return
     end if
@@ -75,7 +75,7 @@ contains
     first = 1
     do k = 0, bins - 1
       at = place(k)
-      if (at - first < longest_counted) then
+      if (at - first < longest_counting_sort) then
         call order_by_counting(at - first + 1, time(first:at), number(first:at))
       else
         call insertion_sort(at - first + 1, time(first:at), number(first:at))
@@ -84,14 +84,14 @@ contains
     end do
   end subroutine sort_in_bins
 
-  !> Sorts a list no longer than `longest_counted`: the place of an event in the sorted list is the
-  !> number of earlier events; at one time, of those with lower numbers.
+  !> Sorts a list no longer than `longest_counting_sort`: the place of an event in the sorted list
+  !> is the number of earlier events; at one time, of those with lower numbers.
   pure subroutine order_by_counting(n, time, number)
     integer, intent(in) :: n
     real(wp), intent(inout) :: time(n)
     integer, intent(inout) :: number(n)
-    real(wp) :: was(longest_counted)
-    integer :: was_number(longest_counted), place
+    real(wp) :: was(longest_counting_sort)
+    integer :: was_number(longest_counting_sort), place
     integer(int64) :: earlier(block), total
     integer :: first, k
 
@@ -100,7 +100,7 @@ contains
       was(k) = time(k)
       was_number(k) = number(k)
     end do
-    do k = n + 1, min(n + block - 1, longest_counted)
+    do k = n + 1, min(n + block - 1, longest_counting_sort)
       was(k) = huge(1.0_wp)
     end do
     total = 0

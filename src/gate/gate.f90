@@ -14,8 +14,8 @@
 !>
 !> The counted particles are queued by the time at which they will reach the middle line. Engines
 !> call the gate at entries and crossings, one by one (`enter_gate`, `must_reverse`,
-!> `uncount_first`), or with all entries of a window (`admit_entries`); no engine implements the
-!> rule.
+!> `uncount_first`), or with all entries of a window (`apply_rule_to_window`); no engine implements
+!> the rule.
 module battery_gate
   use battery_kinds, only: wp, int64
   use battery_queue, only: queue_type, empty_queue, push, push_all, pop, pop_due, remove_particle, &
@@ -27,7 +27,7 @@ module battery_gate
     decide_reversal, uncount_all
   public :: number_inside, counted_particle, next_crossing_time, first_crossing_time
   public :: gate_crossed_first, uncount_first, uncount_particle, rebase_gate, serialize_gate
-  public :: gate_window_type, reserve_gate_window, admit_entries
+  public :: gate_window_type, reserve_gate_window, apply_rule_to_window
 
   !> The gate of one urn: its threshold, and the particles that it counts.
   type :: gate_type
@@ -40,7 +40,7 @@ module battery_gate
   end type gate_type
 
   !> The entries into one gate in one window, and the reversals that follow from them
-  !> (`admit_entries`). Arrays may be longer than their counts.
+  !> (`apply_rule_to_window`). Arrays may be longer than their counts.
   type :: gate_window_type
     !> Number of reversals.
     integer :: reversals = 0
@@ -131,11 +131,11 @@ contains
   end function must_reverse
 
   !> Largest count that does not make the gate reverse.
-  pure function most_inside(gate) result(most)
+  pure function most_inside(gate) result(greatest_count)
     type(gate_type), intent(in) :: gate
-    integer :: most
+    integer :: greatest_count
 
-    most = gate%threshold
+    greatest_count = gate%threshold
   end function most_inside
 
   !> Whether any particle has entered a gate since the gates last decided.
@@ -210,7 +210,7 @@ contains
   !> Applies the rule to a batch of entries and to all crossings before `until`, which is after the
   !> last entry. The result is that of single entries and crossings, but particles reversed and
   !> particles that cross are listed in no order.
-  pure subroutine admit_entries(gate, gate_window, entries, entry_time, crossing_time, &
+  pure subroutine apply_rule_to_window(gate, gate_window, entries, entry_time, crossing_time, &
     entering_particle, until, reversed_count, reversed_particle, reversed_at, crossed, &
     crossing_particle, crossed_at)
     type(gate_type), intent(inout) :: gate
@@ -251,7 +251,7 @@ contains
       if (gate_window%reversals > 0) call empty_queue(counted)
       call push_all(counted, still_inside, gate_window%time, gate_window%particle)
     end associate
-  end subroutine admit_entries
+  end subroutine apply_rule_to_window
 
   !> Applies the rule to a batch of entries, by counting. `time` is the time at which each particle
   !> would cross: first the `crossing_soon` particles counted before, then those that enter, in
@@ -260,12 +260,13 @@ contains
   !> inside.
   !>
   !> An entry adds at most one to the count: if `inside` are counted at an entry, the gate cannot
-  !> reverse before the (most + 1 - inside)-th entry after it. The entries in between are skipped.
-  !> At an entry that is examined, the particles inside are counted by a loop without branches.
-  pure subroutine apply_rule(most, crossing_later, crossing_soon, entries, entry_time, until, &
-    time, particle, later_particle, reversals, last_entry, reversed, reversed_count, &
+  !> reverse before the (greatest_count + 1 - inside)-th entry after it. The entries in between are
+  !> skipped. At an entry that is examined, the particles inside are counted by a loop without
+  !> branches.
+  pure subroutine apply_rule(greatest_count, crossing_later, crossing_soon, entries, entry_time, &
+    until, time, particle, later_particle, reversals, last_entry, reversed, reversed_count, &
     reversed_particle, reversed_at, crossed, crossing_particle, crossed_at, still_inside)
-    integer, intent(in) :: most, crossing_later, crossing_soon, entries
+    integer, intent(in) :: greatest_count, crossing_later, crossing_soon, entries
     real(wp), intent(in) :: entry_time(entries), until
     real(wp), intent(inout) :: time(crossing_soon + entries)
     integer, intent(inout) :: particle(crossing_soon + entries)
@@ -278,7 +279,7 @@ contains
     integer, intent(out) :: still_inside
     integer :: limit, others, first, last, k, inside
 
-    limit = min(most, shiftr(huge(1), 1))
+    limit = min(greatest_count, shiftr(huge(1), 1))
     others = crossing_later
     first = 1
     k = max(1, limit + 1 - crossing_soon - others)

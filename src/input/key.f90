@@ -40,7 +40,7 @@ module battery_key
     !> Unit, and symbol in the paper; empty if there is none.
     character(len=8) :: unit = '', symbol = ''
     !> Whether the key changes the results; if not, a run may be resumed with another value.
-    logical :: decides = .true.
+    logical :: changes_results = .true.
   end type key_type
 
 contains

@@ -4,7 +4,7 @@
 !> `/` or `&end`, any case), but line numbers are stored, and parsing continues after an error.
 module battery_namelist_text
   use battery_text, only: to_text, lower_case
-  use battery_remarks, only: remarks_type, add_remark, displayable_text
+  use battery_line_problems, only: line_problems_type, add_line_problem, displayable_text
   implicit none (type, external)
   private
   public :: value_type, entry_type, group_type, split_namelist, written_text
@@ -44,7 +44,7 @@ module battery_namelist_text
     integer :: group_count = 0, entry_count = 0
     !> Values of the key that is being read.
     type(value_type), allocatable :: values(:)
-    type(remarks_type) :: remarks
+    type(line_problems_type) :: problems
   end type reader_type
 
   character(len=1), parameter :: tab = achar(9), line_end = achar(10), return_sign = achar(13)
@@ -56,13 +56,13 @@ module battery_namelist_text
 contains
 
   !> Splits `text` into `groups`, including repeated ones, and `entries`, the keys with their
-  !> values, in their order; syntax errors are added to `remarks`, and the rest is parsed
+  !> values, in their order; syntax errors are added to `problems`, and the rest is parsed
   !> nevertheless.
-  subroutine split_namelist(text, groups, entries, remarks)
+  subroutine split_namelist(text, groups, entries, problems)
     character(len=*), intent(in) :: text
     type(group_type), allocatable, intent(out) :: groups(:)
     type(entry_type), allocatable, intent(out) :: entries(:)
-    type(remarks_type), intent(out) :: remarks
+    type(line_problems_type), intent(out) :: problems
     type(reader_type) :: reader
     integer :: at
 
@@ -77,14 +77,14 @@ contains
       if (next_sign(reader) == '&') then
         call read_group(reader)
       else
-        call add_remark(reader%remarks, reader%line, 'text outside of any group: ' &
+        call add_line_problem(reader%problems, reader%line, 'text outside of any group: ' &
           //rest_of_line(reader)//'; a group begins with &name and ends with /')
         call skip_line(reader)
       end if
     end do
     groups = reader%groups(:reader%group_count)
     entries = reader%entries(:reader%entry_count)
-    remarks = reader%remarks
+    problems = reader%problems
   end subroutine split_namelist
 
   !> Text of values as written, shortened if there are many.
@@ -137,7 +137,7 @@ contains
         call read_entry(reader, group%name)
       end select
     end do
-    call add_remark(reader%remarks, group%line, '&'//displayable_text(group%name) &
+    call add_line_problem(reader%problems, group%line, '&'//displayable_text(group%name) &
       //': the / that ends the group is missing')
   end subroutine read_group
 
@@ -154,20 +154,20 @@ contains
     entry%key = lower_case(entry%key)
     name = '&'//displayable_text(group)//' '//displayable_text(entry%key)
     if (entry%key == '') then
-      call add_remark(reader%remarks, reader%line, &
+      call add_line_problem(reader%problems, reader%line, &
         '&'//displayable_text(group)//': a key was expected at: '//rest_of_line(reader))
       call skip_line(reader)
       return
     end if
     call skip_blanks(reader)
     if (next_sign(reader) == '(' .or. next_sign(reader) == '%') then
-      call add_remark(reader%remarks, reader%line, name//': parts of a key cannot be set; ' &
+      call add_line_problem(reader%problems, reader%line, name//': parts of a key cannot be set; ' &
         //'allowed: the whole list, '//displayable_text(entry%key)//' = 1, 2, ...')
       call skip_line(reader)
       return
     end if
     if (next_sign(reader) /= '=') then
-      call add_remark(reader%remarks, entry%line, name//': = is missing')
+      call add_line_problem(reader%problems, entry%line, name//': = is missing')
       return
     end if
     reader%at = reader%at + 1
@@ -234,11 +234,11 @@ contains
 
   contains
 
-    !> Adds a remark on the values of this key.
+    !> Adds a problem on the values of this key.
     subroutine add_mistake(text)
       character(len=*), intent(in) :: text
 
-      call add_remark(reader%remarks, reader%line, name//': '//text)
+      call add_line_problem(reader%problems, reader%line, name//': '//text)
     end subroutine add_mistake
 
   end subroutine read_values

@@ -6,7 +6,7 @@ module battery_settings
   use battery_kinds, only: wp, int32, int64
   use battery_text, only: string_type, to_text, lower_case, join, closest_word
   use battery_numbers, only: read_whole, read_decimal
-  use battery_remarks, only: remarks_type, add_remark, displayable_text
+  use battery_line_problems, only: line_problems_type, add_line_problem, displayable_text
   use battery_namelist_text, only: value_type, entry_type, group_type, split_namelist, &
     written_text
   use battery_key, only: key_type, distinct_names, find_key, allowed_text, is_beyond, whole_key, &
@@ -34,7 +34,7 @@ module battery_settings
   !> All keys with their values, and the problems.
   type :: settings_type
     type(setting_type), allocatable :: all(:)
-    type(remarks_type) :: problems
+    type(line_problems_type) :: problems
   end type settings_type
 
   !> Gets the `value` of a key; if the key has none, `value` does not change. `group` and `name` are
@@ -71,7 +71,7 @@ contains
         meant(at) = meant_key(keys, entries(at))
         call refuse_key(keys, entries(at), meant(at), settings%problems)
       else if (settings%all(place)%given) then
-        call add_remark(settings%problems, entries(at)%line, entry_name(entries(at)) &
+        call add_line_problem(settings%problems, entries(at)%line, entry_name(entries(at)) &
           //' = '//written_text(entries(at)%values)//': is given again; allowed: once (line ' &
           //to_text(settings%all(place)%line)//')')
       else
@@ -94,7 +94,7 @@ contains
   subroutine check_groups(keys, groups, problems)
     type(key_type), intent(in) :: keys(:)
     type(group_type), intent(in) :: groups(:)
-    type(remarks_type), intent(inout) :: problems
+    type(line_problems_type), intent(inout) :: problems
     type(string_type), allocatable :: names(:)
     !> Line in which each group is first; 0: none.
     integer, allocatable :: first_line(:)
@@ -107,11 +107,11 @@ contains
         if (names(name)%text == groups(at)%name) exit
       end do
       if (name > size(names)) then
-        call add_remark(problems, groups(at)%line, '&'//displayable_text(groups(at)%name) &
+        call add_line_problem(problems, groups(at)%line, '&'//displayable_text(groups(at)%name) &
           //': there is no such group'//suggestion('&', closest_word(groups(at)%name, names)) &
           //'; allowed: &'//join(names, ', &'))
       else if (first_line(name) > 0) then
-        call add_remark(problems, groups(at)%line, '&'//groups(at)%name &
+        call add_line_problem(problems, groups(at)%line, '&'//groups(at)%name &
           //': is given again; allowed: once (line '//to_text(first_line(name))//')')
       else
         first_line(name) = groups(at)%line
@@ -154,7 +154,7 @@ contains
     type(entry_type), intent(in) :: entry
     !> Place of the key that was probably meant; 0: unknown.
     integer, intent(in) :: meant
-    type(remarks_type), intent(inout) :: problems
+    type(line_problems_type), intent(inout) :: problems
     character(len=:), allocatable :: hint
 
     if (all(keys%group /= entry%group)) return
@@ -168,8 +168,8 @@ contains
         hint = suggestion('&', trim(keys(meant)%group)//' '//trim(keys(meant)%name))
       end if
     end if
-    call add_remark(problems, entry%line, entry_name(entry)//' = '//written_text(entry%values) &
-      //': there is no such key'//hint//'; allowed: ' &
+    call add_line_problem(problems, entry%line, entry_name(entry)//' = ' &
+      //written_text(entry%values) //': there is no such key'//hint//'; allowed: ' &
       //join(distinct_names(pack(keys%name, keys%group == entry%group)), ', '))
   end subroutine refuse_key
 
@@ -195,7 +195,7 @@ contains
     type(key_type), intent(in) :: key
     type(setting_type), intent(out) :: setting
     type(entry_type) :: entry
-    type(remarks_type) :: problems
+    type(line_problems_type) :: problems
 
     setting%key = key
     allocate (setting%integers(0), setting%reals(0))
@@ -217,7 +217,7 @@ contains
   subroutine set_from_entry(entry, setting, problems)
     type(entry_type), intent(in) :: entry
     type(setting_type), intent(inout) :: setting
-    type(remarks_type), intent(inout) :: problems
+    type(line_problems_type), intent(inout) :: problems
     character(len=:), allocatable :: wrong
     type(string_type), allocatable :: written(:)
     integer :: at
@@ -238,7 +238,7 @@ contains
       if (wrong == '') setting%canonical = join(written, ' ')
       if (wrong == '' .and. key%is_range) wrong = wrong_range(setting%reals)
       setting%known = wrong == ''
-      if (wrong /= '') call add_remark(problems, entry%line, entry_name(entry)//' = ' &
+      if (wrong /= '') call add_line_problem(problems, entry%line, entry_name(entry)//' = ' &
         //written_text(entry%values)//': '//wrong//'; allowed: '//allowed_text(key))
     end associate
   end subroutine set_from_entry

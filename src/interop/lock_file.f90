@@ -45,7 +45,7 @@ module battery_lock_file
   type :: lock_type
     !> Path of the lock file, and its text while this run owns the output; not allocated: no lock.
     character(len=:), allocatable :: path, text
-    !> Identity of the output file when the lock was acquired, on rank 0 alone.
+    !> Stamp of the output file when the lock was acquired, on rank 0 alone.
     type(file_stamp_type) :: before
     !> The open lock file, on rank 0 alone.
     type(c_ptr), private :: handle = c_null_ptr

@@ -16,8 +16,8 @@
 !> to be too short:
 !> - for all averages, if it is shorter than ten relaxation times of the directions of motion;
 !> - for currents, in a polarised state in which the gate of the sparse urn hardly ever reverses:
-!>   particles that circulate along the axis carry part of the current until that gate turns them
-!>   back, so the run must have several such reversals;
+!>   particles that circulate along the axis carry part of the current until that gate reverses
+!>   them, so the run must have several such reversals;
 !> - for currents from urn 1 to urn 2, if N1 - N2 changed its sign only a few times: their mean is
 !>   over both polarities. The polarised current still has an error.
 module battery_observer
@@ -51,13 +51,14 @@ module battery_observer
 
   !> State of the measurements of a run.
   type :: observer_type
+    !> Number of particles.
     integer :: number = 0
     !> Number of particles in half 1 now.
     integer :: urn1_number = 0
     !> False for the single urn: it has one half, and a crossing does not change N1.
-    logical :: two_halves = .true.
+    logical :: has_two_urns = .true.
     !> Whether channel 2 is open, so that a current can flow through it.
-    logical :: circuit_closed = .true.
+    logical :: channel2_open = .true.
     !> Relaxation time of the directions of motion.
     real(wp) :: relaxation = 0.0_wp
     !> Since the start: reversals of each gate, particles reversed, wall collisions reported.
@@ -96,27 +97,27 @@ contains
 
   !> Makes an observer of `number` particles, `urn1_number` of them in half 1 of the table (urn 1
   !> and its half channels). If `series_interval` > 0 it records a series, whose first entry is the
-  !> start. The initial duration of blocks is `unit` (if absent, 1): a length of the table over the
-  !> speed 1, so that a table scaled by a power of two has the same blocks.
-  pure function new_observer(number, urn1_number, two_halves, series_interval, unit, &
-    circuit_closed, relaxation) result(observer)
+  !> start. The initial duration of blocks is `first_block_length` (if absent, 1): a length of the
+  !> table over the speed 1, so that a table scaled by a power of two has the same blocks.
+  pure function new_observer(number, urn1_number, has_two_urns, series_interval, &
+    first_block_length, channel2_open, relaxation) result(observer)
     integer, intent(in) :: number, urn1_number
     !> Whether the table has two urns.
-    logical, intent(in) :: two_halves
+    logical, intent(in) :: has_two_urns
     real(wp), intent(in) :: series_interval
-    real(wp), intent(in), optional :: unit
+    real(wp), intent(in), optional :: first_block_length
     !> Whether channel 2 is open; true if absent.
-    logical, intent(in), optional :: circuit_closed
+    logical, intent(in), optional :: channel2_open
     !> Relaxation time of the directions of motion; 0 if absent.
     real(wp), intent(in), optional :: relaxation
     type(observer_type) :: observer
 
     observer%number = number
     observer%urn1_number = urn1_number
-    observer%two_halves = two_halves
+    observer%has_two_urns = has_two_urns
     observer%series_interval = series_interval
-    if (present(unit)) observer%blocks%length = unit
-    if (present(circuit_closed)) observer%circuit_closed = circuit_closed
+    if (present(first_block_length)) observer%blocks%length = first_block_length
+    if (present(channel2_open)) observer%channel2_open = channel2_open
     if (present(relaxation)) observer%relaxation = relaxation
     allocate (observer%series_urn1_number(0), observer%series_flow(4, 0))
     if (series_interval > 0.0_wp) then
@@ -163,7 +164,7 @@ contains
       way = merge(1, -1, crossing == channel1_12 .or. crossing == channel2_12)
       ! Sign of the mean of N1 - N2 over before and after the crossing.
       down = way*max(-1, min(1, 2*observer%urn1_number - observer%number - way))
-      if (observer%two_halves) observer%urn1_number = observer%urn1_number - way
+      if (observer%has_two_urns) observer%urn1_number = observer%urn1_number - way
       if (observer%measuring) then
         observer%crossings(crossing) = observer%crossings(crossing) + 1
         channel = channel_of(crossing)
@@ -288,8 +289,8 @@ contains
       call set_average(measured, 'current2', &
         real(real(o%crossings(3) - o%crossings(4), wp)/time, dp), &
         error_of(o, of_current2))
-      if (.not. o%two_halves) return
-      if (o%circuit_closed) call set_average(measured, 'polarised_current', &
+      if (.not. o%has_two_urns) return
+      if (o%channel2_open) call set_average(measured, 'polarised_current', &
         real(real(o%downward + o%block_downward, wp)/time, dp), &
         error_of(o, of_polarised))
       call set_average(measured, 'chi', real((o%spread + o%block_spread)/(time*number), dp), &
@@ -309,9 +310,9 @@ contains
 
     associate (o => observer)
       is_reliable = o%time/least_relaxations >= o%relaxation
-      if (which /= of_chi .and. o%two_halves .and. o%circuit_closed) &
+      if (which /= of_chi .and. o%has_two_urns .and. o%channel2_open) &
         is_reliable = is_reliable .and. .not. may_circulate(o%reversals - o%transient_reversals)
-      if ((which == of_current1 .or. which == of_current2) .and. o%two_halves) &
+      if ((which == of_current1 .or. which == of_current2) .and. o%has_two_urns) &
         is_reliable = is_reliable .and. polarity_resolved(o%blocks(of_difference))
       error = unknown_real()
       if (is_reliable) error = standard_error(o%blocks(which))
@@ -344,8 +345,8 @@ contains
 
     call archive%serialize('number', observer%number)
     call archive%serialize('urn1_number', observer%urn1_number)
-    call archive%serialize('two_halves', observer%two_halves)
-    call archive%serialize('circuit_closed', observer%circuit_closed)
+    call archive%serialize('two_halves', observer%has_two_urns)
+    call archive%serialize('circuit_closed', observer%channel2_open)
     call archive%serialize('relaxation', observer%relaxation)
     call archive%serialize('reversals', observer%reversals)
     call archive%serialize('transient_reversals', observer%transient_reversals)

@@ -18,8 +18,9 @@ module battery_bounds
   !> Greatest length: its fourth power, and one over that, are finite.
   real(wp), parameter, public :: greatest_radius = 2.0_wp**(maxexponent(1.0_wp)/4)
 
-  !> Wall hits must be countable even for visits with this many times the mean number of hits.
-  real(wp), parameter :: longest_visit = 64.0_wp
+  !> Wall hits must be countable even for passages through an urn with this many times the mean
+  !> number of hits.
+  real(wp), parameter :: longest_passage = 64.0_wp
 
   !> Reasons for bounds; their texts are made only when they are needed, since there may be millions
   !> of points.
@@ -57,16 +58,16 @@ contains
   end function bounds_text
 
   !> Whether the wall hits of `number` particles in the time `duration` (0: not known), including
-  !> those of visits that have not ended, are fewer than the largest integer.
+  !> those of passages that have not ended, are fewer than the largest integer.
   pure logical function can_count_hits(table, number, duration) result(can)
     type(table_type), intent(in) :: table
     integer, intent(in) :: number
     real(wp), intent(in) :: duration
-    real(wp) :: visit
+    real(wp) :: passage
 
-    visit = maxval(table%urn%perimeter)/sum(table%channel%width)
-    can = real(number, wp)*(longest_visit*visit + duration*(perimeter(table)/(pi*area(table)))) &
-      < real(huge(1_int64), wp)
+    passage = maxval(table%urn%perimeter)/sum(table%channel%width)
+    can = real(number, wp)*(longest_passage*passage + duration*(perimeter(table)/(pi &
+      *area(table)))) < real(huge(1_int64), wp)
   end function can_count_hits
 
 end module battery_bounds

@@ -75,8 +75,8 @@ contains
     identity = splitmix64(identity)
   end function identity_of
 
-  !> Identifier of a task together with its output: the task, and which series, snapshots and so on
-  !> are stored.
+  !> `task_id` of a task together with its output, a hash: the task, and which series, snapshots and
+  !> so on are stored.
   integer(int64) function task_id_with(identity, run, final_state) result(task_id)
     !> Identity of the task, from `identity_of`.
     integer(int64), intent(in) :: identity

@@ -4,7 +4,8 @@ module battery_initial_state
   use battery_error, only: error_type, fatal_error, exit_bad_input
   use battery_file_text, only: read_file
   use battery_numbers, only: read_decimal
-  use battery_remarks, only: remarks_type, add_remark, remarks_text, displayable_text
+  use battery_line_problems, only: line_problems_type, add_line_problem, line_problems_text, &
+    displayable_text
   use battery_text, only: to_text, new_line_character
   use battery_table, only: table_type, chamber_at, outside, try_random_point
   use battery_engine, only: particles_type
@@ -18,7 +19,7 @@ module battery_initial_state
   character(len=*), parameter :: blanks = ' '//achar(9)
 
   !> Number of particles or lines between two checks for a stop request.
-  integer, parameter :: particles_between_looks = 65536
+  integer, parameter :: particles_between_stop_checks = 65536
 
 contains
 
@@ -55,7 +56,7 @@ contains
     call new_generator(generator, seed, error)
     if (allocated(error)) return
     do at = 1, number
-      if (mod(at, particles_between_looks) == 0) then
+      if (mod(at, particles_between_stop_checks) == 0) then
         if (stop_requested()) exit
       end if
       call place_in_urn(generator, table, merge(1, 2, at <= urn1_number), particles%x(at), &
@@ -113,7 +114,7 @@ contains
     integer, intent(in) :: number
     type(particles_type), intent(out) :: particles
     type(error_type), allocatable, intent(out) :: error
-    type(remarks_type) :: remarks
+    type(line_problems_type) :: line_problems
     character(len=:), allocatable :: problem
     real(wp) :: state(4), speed
     integer(int64) :: first, last, next
@@ -130,7 +131,7 @@ contains
       if (last < first) last = len(text, int64) + 1
       next = last + 1
       line = line + 1
-      if (mod(line, particles_between_looks) == 0) then
+      if (mod(line, particles_between_stop_checks) == 0) then
         if (stop_requested()) then
           call set_stop_error(error)
           return
@@ -144,7 +145,7 @@ contains
       count = count + 1
       call read_line(text(first:last - 1), table, state, problem)
       if (problem /= '') then
-        call add_remark(remarks, line, problem)
+        call add_line_problem(line_problems, line, problem)
       else if (count <= number) then
         speed = hypot(state(3), state(4))
         particles%x(count) = state(1)
@@ -153,9 +154,10 @@ contains
         particles%uy(count) = state(4)/speed
       end if
     end do
-    if (count /= number) call add_remark(remarks, 0, 'has '//to_text(count) &
+    if (count /= number) call add_line_problem(line_problems, 0, 'has '//to_text(count) &
       //' particles; allowed: '//to_text(number)//', as &particles number says')
-    if (remarks%count > 0) call fatal_error(error, remarks_text(remarks, name), exit_bad_input)
+    if (line_problems%count > 0) call fatal_error(error, line_problems_text(line_problems, name), &
+      exit_bad_input)
   end subroutine parse_particles
 
   !> Whether all particles are inside a table.

@@ -121,13 +121,14 @@ contains
         maxval(point%channel%width) < 2.0_wp*minval(point%urn_radius) .and. &
         plan%urn_shape == 'disc')) return
       call parse_particles(text, plan%initial_file, table_of(plan, point), max(point%number, 0), &
-        plan%start, particle_error)
+        plan%file_particles, particle_error)
       do at = 2, plan%point_count
         if (allocated(particle_error)) exit
         point = point_of(plan, at)
         ! Parsed again only for the message.
-        if (.not. are_inside(table_of(plan, point), plan%start)) call parse_particles(text, &
-          plan%initial_file, table_of(plan, point), point%number, plan%start, particle_error)
+        if (.not. are_inside(table_of(plan, point), plan%file_particles)) &
+          call parse_particles(text, plan%initial_file, table_of(plan, point), point%number, &
+          plan%file_particles, particle_error)
         if (allocated(particle_error)) place = ' where '//point_text(plan, at, 'initial_file')
       end do
     end if
@@ -139,7 +140,7 @@ contains
     end if
     if (allocated(error)) return
     plan%initial_fingerprint = fingerprint_of(text)
-    plan%base%urn1_number = count(plan%start%x < 0.0_wp)
+    plan%base%urn1_number = count(plan%file_particles%x < 0.0_wp)
   end subroutine use_initial_file
 
 end module battery_input_files

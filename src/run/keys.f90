@@ -124,7 +124,7 @@ contains
       key_type('precision', 'largest_replicas', whole_key, '64', &
       'largest number of replicas of a point', least=1.0_wp), &
       key_type('output', 'file', text_key, '''battery.h5''', 'name of the results file', &
-      decides=.false.), &
+      changes_results=.false.), &
       key_type('output', 'series_interval', real_key, '0', 'time between series entries; 0: none', &
       least=0.0_wp, unit='time'), &
       key_type('output', 'snapshot_times', real_key, '', &
@@ -138,9 +138,10 @@ contains
       'whether the final state is stored'), &
       key_type('limits', 'wall_minutes', real_key, '0', &
       'the run stops cleanly before this time; 0: no limit', least=0.0_wp, unit='min', &
-      decides=.false.), &
+      changes_results=.false.), &
       key_type('limits', 'checkpoint_minutes', real_key, '10', &
-      'interval at which long tasks save their state', least=0.0_wp, unit='min', decides=.false.)]
+      'interval at which long tasks save their state', least=0.0_wp, unit='min', &
+      changes_results=.false.)]
   end function keys_behind_scan
 
   !> The list and the range of a key that can be scanned, with the bounds and the unit of the key;

@@ -5,7 +5,7 @@ module battery_namelist_input
   use battery_error, only: error_type, fatal_error, exit_bad_input
   use battery_text, only: to_text, new_line_character
   use battery_table, only: channel1, channel2
-  use battery_remarks, only: add_remark, remarks_text, displayable_text
+  use battery_line_problems, only: add_line_problem, line_problems_text, displayable_text
   use battery_settings, only: settings_type, read_settings, find_setting, get_value, &
     get_list, get_text
   use battery_key, only: key_type, whole_key, is_beyond
@@ -256,7 +256,7 @@ contains
         == 1)) return
       joint = ' = '
       if (index(problem%value, 'is ') == 1 .or. index(problem%value, 'has ') == 1) joint = ' '
-      call add_remark(settings%problems, merge(all(place)%line, 0, all(place)%given), '&' &
+      call add_line_problem(settings%problems, merge(all(place)%line, 0, all(place)%given), '&' &
         //trim(all(place)%key%group)//' '//trim(all(place)%key%name)//joint//problem%value &
         //'; allowed: '//problem%allowed//place_text(plan, problem))
     end associate
@@ -292,13 +292,13 @@ contains
       text = to_text(plan%of_points%points)//' of '//to_text(plan%checked_points) &
         //' points of the scan cannot be simulated'
       if (plan%of_points%more_values) text = text//'; the first of them:'
-      call add_remark(settings%problems, 0, text)
+      call add_line_problem(settings%problems, 0, text)
     end if
     do at = 1, size(plan%problems)
       call add_problem(settings, plan, plan%problems(at))
     end do
     if (settings%problems%count > 0) &
-      call fatal_error(error, remarks_text(settings%problems, plan%input_file), &
+      call fatal_error(error, line_problems_text(settings%problems, plan%input_file), &
       exit_bad_input)
   end subroutine set_input_error
 
@@ -315,7 +315,7 @@ contains
     call read_settings(new, all_keys(), now)
     text = ''
     do at = 1, size(now%all)
-      if (.not. now%all(at)%key%decides) cycle
+      if (.not. now%all(at)%key%changes_results) cycle
       if (before%all(at)%canonical == now%all(at)%canonical) cycle
       if (text /= '') text = text//new_line_character
       text = text//'&'//trim(now%all(at)%key%group)//' '//trim(now%all(at)%key%name)//': was ' &

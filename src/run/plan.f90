@@ -77,7 +77,7 @@ module battery_plan
     integer(int64) :: seed = 1
     character(len=:), allocatable :: initial_file
     !> Particles of the initial file; without one, the arrays are not allocated.
-    type(particles_type) :: start
+    type(particles_type) :: file_particles
     !> Name of the results file.
     character(len=:), allocatable :: file
     logical :: final_state = .false.

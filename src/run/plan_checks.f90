@@ -237,16 +237,16 @@ contains
     type(problem_type), allocatable :: others(:)
     class(engine_type), allocatable :: engine
     type(error_type), allocatable :: error
-    logical :: sound
+    logical :: outlines_valid
     integer :: at
 
     call new_engine(plan%engine, engine, error)
     if (allocated(engine)) engine%time_step = plan%time_step
-    sound = has_valid_outlines(plan)
+    outlines_valid = has_valid_outlines(plan)
     call move_alloc(plan%problems, others)
     allocate (plan%problems(0))
     do at = 1, plan%point_count
-      call check_point(plan, point_of(plan, at), sound)
+      call check_point(plan, point_of(plan, at), outlines_valid)
       if (size(others) + size(plan%problems) == 0) then
         call check_engine(plan, engine, point_of(plan, at))
         call check_scatterers(plan, point_of(plan, at))
@@ -261,11 +261,11 @@ contains
   end subroutine check_points
 
   !> Checks one point: lengths, times, numbers of particles.
-  subroutine check_point(plan, point, sound)
+  subroutine check_point(plan, point, outlines_valid)
     type(plan_type), intent(inout) :: plan
     type(point_type), intent(in) :: point
     !> Whether the outlines of its urns are valid.
-    logical, intent(in) :: sound
+    logical, intent(in) :: outlines_valid
     real(wp) :: radii(2), longest
     integer :: before
 
@@ -274,11 +274,11 @@ contains
     if (plan%shape == 'urn') radii = point%urn_radius(1)
     longest = max(point%channel(channel1)%length, open_length(point))
     call check_lengths(plan, point, radii, longest)
-    if (sound .and. size(plan%problems) == before) call check_outline_at(plan, point)
+    if (outlines_valid .and. size(plan%problems) == before) call check_outline_at(plan, point)
     if (size(plan%problems) == before) call check_times(plan, radii(1), max(radii(2), &
       longest))
     if (point%number == not_given .or. size(plan%problems) > before) return
-    if (.not. (sound .and. has_valid_outlines(plan))) return
+    if (.not. (outlines_valid .and. has_valid_outlines(plan))) return
     if (.not. plan%duration > 0.0_wp .and. plan%transient_collisions > 0 .and. &
       plan%transient_collisions < plan%collisions .and. plan%collisions <= point%number) &
       call refuse_value(plan, 'collisions', to_text(plan%collisions), 'above number, which is ' &

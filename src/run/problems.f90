@@ -1,6 +1,6 @@
 !> Problems of a plan; a problem of many points of its scan is reported once.
 module battery_problems
-  use battery_remarks, only: most_reported
+  use battery_line_problems, only: most_reported
   implicit none (type, external)
   private
   public :: problem_type, point_problems_type, add_point_problems, reported_problems

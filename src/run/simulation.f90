@@ -76,7 +76,7 @@ module battery_simulation
     !> Whether the run was ended because its series or its event log outgrew the memory; number of
     !> entries and events for which the memory need not be checked.
     logical :: out_of_room = .false.
-    integer(int64) :: sure_room = 1000000
+    integer(int64) :: unchecked_length = 1000000
   end type simulation_type
 
   !> Relative rounding error of a sum of times.
@@ -106,7 +106,7 @@ contains
     simulation%observer = new_observer(size(particles%x), count(particles%x < 0.0_wp), &
       setup%table%urn_count == 2, setup%series_interval, &
       power_below(maxval(setup%table%urn%reach)), &
-      circuit_closed=setup%table%channel(channel2)%width > 0.0_wp, &
+      channel2_open=setup%table%channel(channel2)%width > 0.0_wp, &
       relaxation=relaxation_time(setup%table))
     call check_remaining_memory(simulation, error)
     if (allocated(error)) return
@@ -149,11 +149,11 @@ contains
     type(simulation_type), intent(in) :: simulation
     type(error_type), allocatable, intent(out) :: error
     !> Bytes of the positions and velocities of a particle.
-    real(dp), parameter :: there = 32.0_dp
+    real(dp), parameter :: particle_bytes = 32.0_dp
     real(dp) :: bytes
 
     associate (setup => simulation%setup, number => simulation%observer%number)
-      bytes = (bytes_per_particle(setup%engine) - there)*number &
+      bytes = (bytes_per_particle(setup%engine) - particle_bytes)*number &
         + bytes_per_state*size(setup%snapshot_times)*number
       if (setup%series_interval > 0.0_wp .and. setup%duration > 0.0_wp) &
         bytes = bytes + bytes_per_entry*real(setup%duration/setup%series_interval, dp)
@@ -167,13 +167,13 @@ contains
     type(simulation_type), intent(inout) :: simulation
 
     associate (s => simulation)
-      if (int(s%observer%entries, int64) + s%events%count < s%sure_room .and. &
+      if (int(s%observer%entries, int64) + s%events%count < s%unchecked_length .and. &
         .not. (s%out_of_room .or. s%observer%out_of_room)) return
       s%out_of_room = s%out_of_room .or. s%observer%out_of_room .or. &
         max(s%observer%entries, s%events%count) > most_kept
       if (.not. s%out_of_room) s%out_of_room = .not. enough_memory(2.0_dp &
         *(bytes_per_entry*s%observer%entries + bytes_per_event*s%events%count))
-      s%sure_room = 2*s%sure_room
+      s%unchecked_length = 2*s%unchecked_length
       if (s%out_of_room) s%done = .true.
     end associate
   end subroutine stop_if_out_of_memory
@@ -351,12 +351,12 @@ contains
     integer, parameter :: chunk = 65536
     real(wp), parameter :: share = 1.0e4_wp*epsilon(1.0_wp)
     type(particles_type) :: particles
-    real(wp) :: sharp, ends
+    real(wp) :: tolerance, ends
     integer :: first, last, i, lost, off_speed, urn1_number, on_line
     character(len=200) :: text
 
     ends = half_length(simulation%setup%table)
-    sharp = share*ends
+    tolerance = share*ends
     lost = 0
     off_speed = 0
     urn1_number = 0
@@ -365,18 +365,18 @@ contains
       last = min(first + chunk - 1, simulation%engine%number)
       call simulation%engine%get_particles(first, last, particles)
       do i = 1, last - first + 1
-        if (chamber_at(simulation%setup%table, particles%x(i), particles%y(i), sharp) == outside) &
-          lost = lost + 1
+        if (chamber_at(simulation%setup%table, particles%x(i), particles%y(i), tolerance) &
+          == outside) lost = lost + 1
         if (.not. abs(hypot(particles%ux(i), particles%uy(i)) - 1.0_wp) <= share) &
           off_speed = off_speed + 1
-        if (min(abs(particles%x(i)), ends - abs(particles%x(i))) <= sharp) then
+        if (min(abs(particles%x(i)), ends - abs(particles%x(i))) <= tolerance) then
           on_line = on_line + 1
         else if (particles%x(i) < 0.0_wp) then
           urn1_number = urn1_number + 1
         end if
       end do
     end do
-    if (simulation%observer%two_halves) then
+    if (simulation%observer%has_two_urns) then
       ! Particles on a line are assigned so that the numbers agree, if they can.
       urn1_number = max(urn1_number, min(urn1_number + on_line, simulation%observer%urn1_number))
     else

@@ -23,7 +23,8 @@ module battery_checksum_footer
 
   !> First line of the footer, and the line that explains it to a reader.
   character(len=*), parameter :: first_line = 'battery results 1'
-  character(len=*), parameter :: remark = 'Before these 512 bytes is HDF5; head -c -512 FILE | ' &
+  character(len=*), &
+    parameter :: explanation = 'Before these 512 bytes is HDF5; head -c -512 FILE | ' &
     //'sha256sum gives the digits above.'
 
   !> An attribute that only files of this program have, near their beginning.
@@ -61,7 +62,7 @@ contains
     character(len=20) :: number
 
     write (number, '(i0)') count
-    footer = first_line//lf//'bytes '//trim(number)//lf//'sha256 '//digits//lf//remark//lf
+    footer = first_line//lf//'bytes '//trim(number)//lf//'sha256 '//digits//lf//explanation//lf
     footer(footer_length:) = lf
   end function footer_text
 
@@ -101,7 +102,7 @@ contains
       call fatal_error(error, name//' is damaged: it cannot be read to its end', exit_failure)
     else if (footer == footer_text(content, digits)) then
       return
-    else if (index(footer, first_line//new_line('a')) == 1 .or. index(footer, remark) > 0) then
+    else if (index(footer, first_line//new_line('a')) == 1 .or. index(footer, explanation) > 0) then
       call fatal_error(error, name//' is damaged: its digest is wrong', exit_failure)
     else if (index(first, mark) > 0 .and. end_in_hdf5(first) == bytes) then
       call fatal_error(error, name//' is of a version before 0.2.0, or was changed: it has no ' &

@@ -115,7 +115,7 @@ contains
     integer(hid_t) :: attribute, text_type, space
     integer(hsize_t) :: texts
     integer :: status, freed
-    logical :: is_text, is_elsewhere
+    logical :: is_text, is_named_type
 
     text = ''
     call check_links(file, path, error)
@@ -129,9 +129,9 @@ contains
     if (status == 0) call h5aget_space_f(attribute, space, status)
     if (status == 0) call h5aget_type_f(attribute, text_type, status)
     if (status == 0) call h5tis_variable_str_f(text_type, is_text, status)
-    if (status == 0) call h5tcommitted_f(text_type, is_elsewhere, status)
+    if (status == 0) call h5tcommitted_f(text_type, is_named_type, status)
     if (status == 0) call h5sget_simple_extent_npoints_f(space, texts, status)
-    if (status == 0 .and. (.not. is_text .or. is_elsewhere .or. texts /= 1)) status = -1
+    if (status == 0 .and. (.not. is_text .or. is_named_type .or. texts /= 1)) status = -1
     if (status == 0) call h5aread_f(attribute, text_type, buffer, status)
     if (status == 0) then
       text = c_text_at(address)

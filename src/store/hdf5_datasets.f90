@@ -292,8 +292,8 @@ contains
     call check_status(file, path, 'takes more of the file than its values do', status, error)
   end subroutine check_chunks
 
-  !> Checks that a dataset has numbers of the expected type and extents. Does nothing after an
-  !> error.
+  !> Checks that a dataset has numbers of `wanted_type` and the extents `wanted`, and that its type
+  !> is not a named (committed) one. Does nothing after an error.
   subroutine check_type_and_extents(file, path, dataset, wanted_type, wanted, error)
     type(hdf5_file_type), intent(in) :: file
     character(len=*), intent(in) :: path
@@ -305,17 +305,17 @@ contains
     integer(hid_t) :: value_type
     integer(size_t) :: bytes, wanted_bytes
     integer :: status, class, wanted_class
-    logical :: is_elsewhere
+    logical :: is_named_type
 
     if (allocated(error)) return
     value_type = no_handle
     call h5dget_type_f(dataset, value_type, status)
-    if (status == 0) call h5tcommitted_f(value_type, is_elsewhere, status)
+    if (status == 0) call h5tcommitted_f(value_type, is_named_type, status)
     if (status == 0) call h5tget_class_f(value_type, class, status)
     if (status == 0) call h5tget_size_f(value_type, bytes, status)
     if (status == 0) call h5tget_class_f(wanted_type, wanted_class, status)
     if (status == 0) call h5tget_size_f(wanted_type, wanted_bytes, status)
-    if (status == 0 .and. (is_elsewhere .or. class /= wanted_class .or. bytes /= wanted_bytes)) &
+    if (status == 0 .and. (is_named_type .or. class /= wanted_class .or. bytes /= wanted_bytes)) &
       status = -1
     call release_handle(value_type, status)
     call check_status(file, path, 'has values of another type than this program writes', status, &

@@ -174,10 +174,10 @@ contains
   subroutine discard_file(file)
     !> File, open.
     type(hdf5_file_type), intent(inout) :: file
-    integer :: unheeded
+    integer :: ignored
 
-    unheeded = 0
-    call release_handle(file%id, unheeded)
+    ignored = 0
+    call release_handle(file%id, ignored)
     file%id = no_handle
   end subroutine discard_file
 

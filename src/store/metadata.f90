@@ -11,13 +11,13 @@ module battery_metadata
   public :: metadata_type, add_text_metadata, write_metadata, read_metadata
 
   !> Name and text of an attribute.
-  type :: remark_type
+  type :: text_attribute_type
     character(len=:), allocatable :: name, text
-  end type remark_type
+  end type text_attribute_type
 
   !> Attributes of the root: texts by name, and numbers.
   type :: metadata_type
-    type(remark_type), allocatable :: texts(:)
+    type(text_attribute_type), allocatable :: texts(:)
     !> Command line and start of the run that wrote the file; hosts of all tasks, one per line.
     character(len=:), allocatable :: command_line, begun, hosts
     integer :: mpi_ranks = 0
@@ -36,12 +36,12 @@ contains
     type(metadata_type), intent(inout) :: metadata
     !> Name of the attribute, and its text.
     character(len=*), intent(in) :: name, text
-    type(remark_type) :: remark
+    type(text_attribute_type) :: attribute
 
-    remark%name = name
-    remark%text = text
+    attribute%name = name
+    attribute%text = text
     if (.not. allocated(metadata%texts)) allocate (metadata%texts(0))
-    metadata%texts = [metadata%texts, remark]
+    metadata%texts = [metadata%texts, attribute]
   end subroutine add_text_metadata
 
   !> Writes the attributes of the root, with the present date and time.

@@ -154,11 +154,11 @@ contains
     type(hdf5_file_type), intent(inout) :: file
     type(output_datasets_type), intent(inout) :: output_datasets
     !> An error that is ignored: the file was only read.
-    type(error_type), allocatable :: unheeded
+    type(error_type), allocatable :: ignored
 
     if (file%id == no_handle) return
-    call close_output_datasets(file, output_datasets, unheeded)
-    call close_file(file, unheeded)
+    call close_output_datasets(file, output_datasets, ignored)
+    call close_file(file, ignored)
   end subroutine close_results
 
   !> Reads the plan of a results file, which this version must have written.

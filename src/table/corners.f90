@@ -63,7 +63,7 @@ contains
     real(wp), intent(in) :: corner(:, :)
     !> Largest n that is tried, and tolerance for the angle of a side.
     integer, parameter :: most_parts = 120
-    real(wp), parameter :: sharp = 1.0e-6_wp
+    real(wp), parameter :: tolerance = 1.0e-6_wp
     real(wp) :: angle(size(corner, 2)), parts
     integer :: k
 
@@ -76,7 +76,7 @@ contains
     is_rational_polygon = .true.
     do k = 1, most_parts
       parts = real(k, wp)/pi
-      if (all(abs(angle*parts - anint(angle*parts)) < sharp*parts)) return
+      if (all(abs(angle*parts - anint(angle*parts)) < tolerance*parts)) return
     end do
     is_rational_polygon = .false.
   end function is_rational_polygon

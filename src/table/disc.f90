@@ -5,8 +5,8 @@
 !> (the angle between its velocity and the normal), its impacts are p_1 = u (c - i s) and p_(n+1) =
 !> z p_n with z = (s - c)(s + c) + 2 i s c: complex numbers of modulus 1, in units of the radius.
 !> The velocity before the impact at p is (c + i s) p. The first impact within an opening ends a
-!> visit; from there the chord is found backwards, by one division. Batches of visits:
-!> `disc_visits.f90`.
+!> passage; from there the chord is found backwards, by one division. Batches of passages:
+!> `disc_passages.f90`.
 !>
 !> **From wall to wall** the intersections of a line and a circle are computed. A particle is placed
 !> exactly on the wall or chord that it reaches; each hit sets its speed to 1 by a Newton step.
@@ -38,7 +38,7 @@ module battery_disc
     !> integers.
     real(wp) :: half_opening(2) = 0.0_wp
     integer(angle_kind) :: angle(2) = 0
-    !> Whether visits are first computed by stepping from impact to impact.
+    !> Whether passages are first computed by stepping from impact to impact.
     logical :: stepping_pays = .true.
   end type disc_type
 
@@ -165,12 +165,12 @@ contains
   pure subroutine locate_in_disc(disc, channel, y, u_axial, u_lateral, since, position, velocity, &
     hits)
     type(disc_type), intent(in) :: disc
-    !> Channel through which the visit ends; any other value: it never ends.
+    !> Channel through which the passage ends; any other value: it never ends.
     integer, intent(in) :: channel
-    !> Height (a length), |u_x| and u_y at the chord of that channel. For a visit that never ends:
+    !> Height (a length), |u_x| and u_y at the chord of that channel. For a passage that never ends:
     !> angle of an impact (radians, from the x axis), cosine and sine of the incidence.
     real(wp), intent(in) :: y, u_axial, u_lateral
-    !> Time since the impact or the end of the visit; below 0: time until then.
+    !> Time since the impact or the end of the passage; below 0: time until then.
     real(wp), intent(in) :: since
     !> x and y of each: lengths, and a vector of length 1.
     real(wp), intent(out) :: position(2), velocity(2)
@@ -187,7 +187,7 @@ contains
     end if
   end subroutine locate_in_disc
 
-  !> Position at the length `before` ahead of the end of a visit, and the `hits` in between.
+  !> Position at the length `before` ahead of the end of a passage, and the `hits` in between.
   pure subroutine trace_back_from_exit(disc, channel, y, u_axial, u_lateral, before, position, &
     velocity, hits)
     type(disc_type), intent(in) :: disc
@@ -281,10 +281,10 @@ contains
   !> Reflects a particle at the arc; finds the wall or opening that it reaches next, and the time
   !> `wait` until then (huge if there is none). From a point q of the circle the path to the next
   !> impact has the length -2 q.u: no root, and no cancellation.
-  pure subroutine reflect_in_disc(disc, shortest, x, y, ux, uy, next, wait)
+  pure subroutine reflect_in_disc(disc, clock_resolution, x, y, ux, uy, next, wait)
     type(disc_type), intent(in) :: disc
     !> Shortest time between two impacts that a clock can resolve.
-    real(wp), intent(in) :: shortest
+    real(wp), intent(in) :: clock_resolution
     !> Position and velocity in the frame of the disc.
     real(wp), intent(inout) :: x, y, ux, uy
     !> Next wall or opening, as in `motion_type`.
@@ -304,7 +304,7 @@ contains
     ux = norm*ux
     uy = norm*uy
     wait = 2.0_wp*abs(outward)
-    if (wait < shortest) then
+    if (wait < clock_resolution) then
       ! Motion along the wall: a clock does not resolve the chords, so one instant would have
       ! infinitely many hits.
       next = meets_nothing

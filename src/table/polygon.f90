@@ -11,8 +11,8 @@
 !> hits a side too, and no particle escapes. A particle is placed exactly on the side that it hits;
 !> each hit sets its speed to 1 by a Newton step.
 !>
-!> Periodic orbits are recognised, and visits truncated, by `boundary_state_type`. Batches of
-!> visits: `polygon_visits.f90`.
+!> Periodic orbits are recognised, and passages truncated, by `boundary_state_type`. Batches of
+!> passages: `polygon_passages.f90`.
 module battery_polygon
   use battery_kinds, only: wp, int64
   use battery_channel, only: channel_type, channel1, channel2, no_channel, facing, is_open
@@ -50,7 +50,7 @@ module battery_polygon
     !> Whether the polygon is convex: a path out of it crosses one side only.
     logical :: convex = .false.
     !> Lengths below this may be rounding errors.
-    real(wp) :: sharp = 0.0_wp
+    real(wp) :: tolerance = 0.0_wp
   end type polygon_type
 
   !> Boundary states that differ by less than this, relative to the outline and to 1, are the same.
@@ -130,11 +130,12 @@ contains
     end do
     polygon%area = enclosed_area(reshape([polygon%x(:n), polygon%y(:n)], [2, n], order=[2, 1]))
     polygon%perimeter = polygon%outline_length - sum(polygon%width)
-    polygon%truncates_visits = .true.
+    polygon%truncates_passages = .true.
     polygon%overhangs = maxval(polygon%x) > polygon%chord(channel1) .or. &
       maxval(-polygon%x) > polygon%chord(channel2)
     polygon%reach = maxval(hypot(polygon%x, polygon%y))
-    polygon%sharp = rounding*(polygon%reach + polygon%chord(channel1) + polygon%length(channel1))
+    polygon%tolerance = rounding*(polygon%reach + polygon%chord(channel1) &
+      + polygon%length(channel1))
     call find_clearance(polygon)
   end subroutine measure_outline
 
@@ -293,10 +294,10 @@ contains
       time = polygon%length_of(k)*((polygon%x(k) - x)*polygon%normal_x(k) &
         + (polygon%y(k) - y)*polygon%normal_y(k))/(after - before)
       if (time >= wait) cycle
-      if (time < -polygon%sharp .and. .not. polygon%convex) then
+      if (time < -polygon%tolerance .and. .not. polygon%convex) then
         ! Skip a side behind the particle, unless only rounding has put it there.
         if (distance_to_side(x, y, [polygon%x(k), polygon%y(k)], [polygon%x(k + 1), &
-          polygon%y(k + 1)]) > polygon%sharp) cycle
+          polygon%y(k + 1)]) > polygon%tolerance) cycle
       end if
       side = k
       wait = time
@@ -323,11 +324,11 @@ contains
     shift_y = 0.0_wp
     do k = 1, polygon%sides
       if (k /= from .and. distance_to_side(x, y, [polygon%x(k), polygon%y(k)], [polygon%x(k + 1), &
-        polygon%y(k + 1)]) > 2.0_wp*polygon%sharp) cycle
+        polygon%y(k + 1)]) > 2.0_wp*polygon%tolerance) cycle
       shift_x = shift_x - polygon%normal_x(k)
       shift_y = shift_y - polygon%normal_y(k)
     end do
-    inwards = polygon%sharp
+    inwards = polygon%tolerance
     do tries = 1, 8
       call find_next_side(polygon, 0, x + inwards*shift_x, y + inwards*shift_y, ux, uy, side, wait)
       if (side > 0) return
@@ -437,7 +438,8 @@ contains
     call project_on_side(polygon, side, x, y)
   end subroutine reflect_overshoot_in_polygon
 
-  !> Side that a particle crossed last on its way out of the polygon; 0 if there is none.
+  !> Side through which a particle left the polygon that a time step has moved out of it: where its
+  !> straight path, followed backwards, comes to the polygon; 0 if it does not.
   pure function last_crossed_side(polygon, x, y, ux, uy) result(side)
     type(polygon_type), intent(in) :: polygon
     !> Position and velocity in the frame of the polygon.
@@ -455,7 +457,7 @@ contains
       if (before >= 0.0_wp .or. after < 0.0_wp) cycle
       time = polygon%length_of(k)*((polygon%x(k) - x)*polygon%normal_x(k) &
         + (polygon%y(k) - y)*polygon%normal_y(k))/(after - before)
-      if (time > polygon%sharp .or. time <= latest) cycle
+      if (time > polygon%tolerance .or. time <= latest) cycle
       side = k
       latest = time
     end do
@@ -547,7 +549,7 @@ contains
       x = x + ux*min(wait, rest)
       y = y + uy*min(wait, rest)
       ! A particle that rounding keeps in a corner stays there.
-      at_once = merge(0, at_once + 1, wait > polygon%sharp)
+      at_once = merge(0, at_once + 1, wait > polygon%tolerance)
       if (wait >= rest .or. next < meets_wall .or. at_once > most_at_once) exit
       rest = rest - wait
       side = int(next)
@@ -590,16 +592,16 @@ contains
   end subroutine find_first_impact_in_polygon
 
   !> Position of a particle in the polygon at a time relative to a boundary state, or to the end of
-  !> its visit.
+  !> its passage.
   pure subroutine locate_in_polygon(polygon, channel, y, u_axial, u_lateral, since, position, &
     velocity, hits)
     type(polygon_type), intent(in) :: polygon
-    !> Channel through which the visit ends; any other value: it does not end.
+    !> Channel through which the passage ends; any other value: it does not end.
     integer, intent(in) :: channel
     !> Height (a length), |u_x| and u_y at the side of that channel; else a boundary state: arc
     !> length, u_x and u_y.
     real(wp), intent(in) :: y, u_axial, u_lateral
-    !> Time since the boundary state or the end of the visit; below 0: time until then.
+    !> Time since the boundary state or the end of the passage; below 0: time until then.
     real(wp), intent(in) :: since
     !> x and y of each: lengths, and a vector of length 1.
     real(wp), intent(out) :: position(2), velocity(2)

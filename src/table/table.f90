@@ -132,7 +132,7 @@ contains
     end do
     table%epoch = power_above(4.0_wp*max(2.0_wp*maxval(table%urn%reach), &
       maxval(hypot(table%channel%length, table%channel%width), mask=is_open(table%channel))))
-    table%urn%shortest = epsilon(1.0_wp)*table%epoch
+    table%urn%clock_resolution = epsilon(1.0_wp)*table%epoch
   end function new_table_of_urns
 
   !> Whether there are discs (scatterers) in channel 2.

@@ -9,17 +9,17 @@ module battery_urn
   use battery_urn_shape, only: urn_shape_type
   use battery_disc, only: disc_type, new_disc, is_in_disc, try_point_in_disc, locate_in_disc, &
     find_first_impact_in_disc, find_next_wall_in_disc, reflect_in_disc, reflect_overshoot_in_disc
-  use battery_disc_visits, only: compute_disc_visits
+  use battery_disc_passages, only: compute_disc_passages
   use battery_motion, only: wall_kind
   use battery_polygon, only: polygon_type, new_polygon, is_in_polygon, try_point_in_polygon, &
     locate_in_polygon, find_first_impact_in_polygon, find_next_wall_in_polygon, &
     reflect_in_polygon, reflect_overshoot_in_polygon
-  use battery_polygon_visits, only: compute_polygon_visits
+  use battery_polygon_passages, only: compute_polygon_passages
   use battery_visits, only: visits_type
   implicit none (type, external)
   private
   public :: urn_type, shape_disc, shape_polygon, derive_shape, are_mirror_images, contains_point, &
-    try_random_point, compute_visits, locate_in_visit, find_first_impact, locate_after, &
+    try_random_point, compute_passages, locate_in_passage, find_first_impact, locate_after, &
     find_next_wall, reflect_at_wall, reflect_overshoot
 
   !> The shapes.
@@ -41,7 +41,7 @@ module battery_urn
     real(wp) :: centre = 0.0_wp, periodic_line = 0.0_wp, channel_start(2) = 0.0_wp, axis_sign = &
       1.0_wp
     !> Shortest time between two hits that a clock can resolve.
-    real(wp) :: shortest = 0.0_wp
+    real(wp) :: clock_resolution = 0.0_wp
   end type urn_type
 
   interface urn_type
@@ -125,27 +125,27 @@ contains
 
   !> Computes the passages through the urn of a batch of visits that `cross_channels` has taken to
   !> the urn; input and output are explained at `visits_type`.
-  subroutine compute_visits(urn, visits)
+  subroutine compute_passages(urn, visits)
     type(urn_type), intent(in) :: urn
     type(visits_type), intent(inout) :: visits
 
     select case (urn%shape)
     case (shape_polygon)
-      call compute_polygon_visits(urn%polygon, visits)
+      call compute_polygon_passages(urn%polygon, visits)
     case default
-      call compute_disc_visits(urn%disc, visits)
+      call compute_disc_passages(urn%disc, visits)
     end select
-  end subroutine compute_visits
+  end subroutine compute_passages
 
   !> Finds the first impact of a particle in the urn, openings counted as wall, in the form that
-  !> `locate_in_visit` expects for a passage that never ends.
+  !> `locate_in_passage` expects for a passage that never ends.
   pure subroutine find_first_impact(urn, x, y, ux, uy, at, u_axial, u_lateral, wait, before)
     type(urn_type), intent(in) :: urn
     !> Position and velocity in the frame of the urn: lengths, and a vector of length 1.
     real(wp), intent(in) :: x, y, ux, uy
     !> y, `u_axial` and `u_lateral` of `visits_type` at that impact; the time until then.
     real(wp), intent(out) :: at, u_axial, u_lateral, wait
-    !> Wall hits until the impact that `locate_in_visit` does not count.
+    !> Wall hits until the impact that `locate_in_passage` does not count.
     integer(int64), intent(out) :: before
 
     select case (urn%shape)
@@ -173,15 +173,15 @@ contains
     integer(int64) :: before
 
     call find_first_impact(urn, x, y, ux, uy, at, u_axial, u_lateral, wait, before)
-    call locate_in_visit(urn, no_channel, at, u_axial, u_lateral, elapsed - wait, position, &
+    call locate_in_passage(urn, no_channel, at, u_axial, u_lateral, elapsed - wait, position, &
       velocity, hits)
     hits = hits + before
   end subroutine locate_after
 
   !> Position of a particle in the urn at a time relative to an impact, or to the end of its
   !> passage.
-  pure subroutine locate_in_visit(urn, channel, y, u_axial, u_lateral, since, position, velocity, &
-    hits)
+  pure subroutine locate_in_passage(urn, channel, y, u_axial, u_lateral, since, position, &
+    velocity, hits)
     type(urn_type), intent(in) :: urn
     !> Channel to which the passage leads; `no_channel` or `truncated`.
     integer, intent(in) :: channel
@@ -202,7 +202,7 @@ contains
     case default
       call locate_in_disc(urn%disc, channel, y, u_axial, u_lateral, since, position, velocity, hits)
     end select
-  end subroutine locate_in_visit
+  end subroutine locate_in_passage
 
   !> Finds the wall or opening `next` that a particle in the urn, or at an opening, reaches first,
   !> and the time `wait` until then.
@@ -236,7 +236,7 @@ contains
     case (shape_polygon)
       call reflect_in_polygon(urn%polygon, x, y, ux, uy, next, wait)
     case default
-      call reflect_in_disc(urn%disc, urn%shortest, x, y, ux, uy, next, wait)
+      call reflect_in_disc(urn%disc, urn%clock_resolution, x, y, ux, uy, next, wait)
     end select
   end subroutine reflect_at_wall
 

@@ -34,7 +34,7 @@ module battery_urn_shape
     !> which may be the same opening.
     real(wp) :: depth(2) = 0.0_wp
     !> Whether passages with very many hits are truncated (`truncated` of `battery_visits`).
-    logical :: truncates_visits = .false.
+    logical :: truncates_passages = .false.
   end type urn_shape_type
 
 contains

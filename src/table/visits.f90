@@ -1,6 +1,6 @@
 !> A batch of visits, as a structure of arrays. A visit is the passage of a particle through a
 !> channel (`cross_channels`) and then through the urn behind it, up to an opening
-!> (`compute_visits`).
+!> (`compute_passages`).
 module battery_visits
   use battery_kinds, only: wp, int64
   use battery_channel, only: channel1, none => no_channel
@@ -30,32 +30,33 @@ module battery_visits
     integer, private :: capacity = -1
     !> Particle of each visit, and its urn (1 or 2).
     integer, allocatable :: particle(:), urn(:)
-    !> In: time of entry into the channel before the urn. Out of `cross_channels`: time of entry
-    !> into the urn.
+    !> Before `cross_channels`: time of entry into the channel before the urn; after it: time of
+    !> entry into the urn.
     real(wp), allocatable :: time(:)
     !> Time at which a gate reversed the particle in that channel, or huge; time spent in that
     !> channel.
     real(wp), allocatable :: reversal_time(:), passage(:)
-    !> In: the channel before the urn. Out of `compute_visits`: the next channel, or `no_channel`.
+    !> Before `compute_passages`: the channel before the urn; after it: the next channel, or
+    !> `no_channel`.
     integer(int64), allocatable :: channel(:)
-    !> Out of `compute_visits`: time through the next channel, from end to end.
+    !> After `compute_passages`: time through the next channel, from end to end.
     real(wp), allocatable :: through(:)
-    !> Position in the frame of the urn. In: y at the channel's entrance; out of `cross_channels`,
-    !> on the chord through which it enters the urn; out of `compute_visits`, on the one through
-    !> which it leaves.
+    !> Position in the frame of the urn. Before `cross_channels`: y at the channel's entrance; after
+    !> it: on the chord through which it enters the urn; after `compute_passages`: on the one
+    !> through which it leaves.
     real(wp), allocatable :: x(:), y(:)
-    !> Velocity. In: |u_x| and u_y in the channel; out of `cross_channels`, in the frame of the urn;
-    !> out of `compute_visits`, |u_x| and u_y in the next channel. For a particle that never leaves:
-    !> cosine and sine of the incidence, and y is the angle of an impact.
+    !> Velocity. Before `cross_channels`: |u_x| and u_y in the channel; after it: in the frame of
+    !> the urn; after `compute_passages`: |u_x| and u_y in the next channel. For a particle that
+    !> never leaves: cosine and sine of the incidence, and y is the angle of an impact.
     real(wp), allocatable :: u_axial(:), u_lateral(:)
-    !> Out of `compute_visits`: length of the path through the urn; for a particle that never
+    !> After `compute_passages`: length of the path through the urn; for a particle that never
     !> leaves, until the impact at angle y, which follows `impacts` others.
     real(wp), allocatable :: length(:)
     !> Wall hits in the channel and in the urn, whole numbers.
     real(wp), allocatable :: hits(:)
-    !> Out of `compute_visits`: sum of the wall hits of all visits.
+    !> After `compute_passages`: sum of the wall hits of all visits.
     integer(int64) :: all_hits = 0
-    !> Out of `compute_visits`: number of visits that have at least `many_hits` hits in the urn,
+    !> After `compute_passages`: number of visits that have at least `many_hits` hits in the urn,
     !> never end, or are truncated, and their indices. The list may contain others too.
     integer :: many_hits_count = 0
     integer, allocatable :: many_hits_index(:)

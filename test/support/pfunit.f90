@@ -4,8 +4,8 @@ module pfunit
   use, intrinsic :: ieee_exceptions, only: ieee_all, ieee_status_type, ieee_get_status, &
     ieee_set_status, ieee_set_halting_mode
   use mpi_f08, only: MPI_Comm, MPI_Comm_rank, MPI_Comm_size, MPI_Comm_split, MPI_Comm_free, &
-    MPI_Gather, MPI_Gatherv, MPI_Bcast, MPI_Init, MPI_Initialized, MPI_Finalize, MPI_COMM_WORLD, MPI_COMM_NULL, &
-    MPI_CHARACTER, MPI_INTEGER, MPI_LOGICAL, MPI_UNDEFINED
+    MPI_Gather, MPI_Gatherv, MPI_Bcast, MPI_Init, MPI_Initialized, MPI_Finalize, MPI_COMM_WORLD, &
+    MPI_COMM_NULL, MPI_CHARACTER, MPI_INTEGER, MPI_LOGICAL, MPI_UNDEFINED
   use funit_exceptions, only: exception_type, same_exception, take_exceptions, throw
   use funit, only: SourceLocation, anyExceptions, assertTrue, assertFalse, assertEqual, &
     assertLessThan, Test, TestMethod, TestSuite, SerialContext, run_in, stub

@@ -1,9 +1,9 @@
 !> A window with many events of the engine `excursion`, processed as arrays: partitioned by gate and
-!> line, passed through each gate at once (`admit_entries`), crossings sorted afterwards.
+!> line, passed through each gate at once (`apply_rule_to_window`), crossings sorted afterwards.
 module battery_batch_window
   use battery_kinds, only: wp, int8, int64
   use battery_table, only: channel1, channel2
-  use battery_gate, only: gate_type, gate_window_type, reserve_gate_window, admit_entries, &
+  use battery_gate, only: gate_type, gate_window_type, reserve_gate_window, apply_rule_to_window, &
     number_inside
   use battery_ordering, only: sort_by_time
   use battery_calendar, only: calendar_type, flight_type
@@ -70,9 +70,9 @@ contains
       do urn = 1, 2
         before = v%count
         crossed_before = crossed
-        call admit_entries(gate(urn), w%gate_window(urn), w%partition_count(urn), w%due(:, urn), &
-          w%middle(:, urn), w%particle(:, urn), window_end, v%count, v%particle, v%reversal_time, &
-          crossed, w%crossing_order, w%crossing_time)
+        call apply_rule_to_window(gate(urn), w%gate_window(urn), w%partition_count(urn), w%due(:, &
+          urn), w%middle(:, urn), w%particle(:, urn), window_end, v%count, v%particle, &
+          v%reversal_time, crossed, w%crossing_order, w%crossing_time)
         v%urn(before + 1:v%count) = urn
         v%channel(before + 1:v%count) = channel1
         from_gate(urn) = crossed - crossed_before

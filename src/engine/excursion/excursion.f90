@@ -26,15 +26,15 @@ module battery_excursion
   use battery_table, only: channel1, channel2, in_channel2, urn_at, chamber_at, are_mirror_images, &
     mean_urn_passage, shortest_excursion, has_scatterers
   use battery_urn_shape, only: cross_channels
-  use battery_urn, only: compute_visits
+  use battery_urn, only: compute_passages
   use battery_visits, only: visits_type, reserve_visits, split_visits_by_urn, truncated
   use battery_scatterers, only: narrowest_gap, detect_periodic_path
   use battery_gate, only: enter_gate, number_inside, first_crossing_time
   use battery_engine, only: engine_type, particles_type, rebase_gates_and_clock
   use battery_event_record, only: event_record_type, reserve_event_record
-  use battery_flight, only: new_flights, make_initial_flight, date_back_flight, load_flights, &
-    store_flights, locate_particle, locate_trapped_particle, to_gate, to_periodic_line, &
-    counted_in_gate, trapped_in_urn, trapped_in_channel, partial_visit
+  use battery_flight, only: new_flights, make_initial_flight, set_flight_to_visit_start, &
+    load_flights, store_flights, locate_particle, locate_trapped_particle, to_gate, &
+    to_periodic_line, counted_in_gate, trapped_in_urn, trapped_in_channel, partial_visit
   use battery_long_visits, only: long_visits_type, new_long_visits, is_long_visit, &
     store_visit_starts, is_nearer_start, locate_from_start, rebase_long_visits, &
     serialize_long_visits
@@ -194,13 +194,13 @@ contains
         end do
         do b = 1, self%batches
           if (from_channels) call cross_channels(self%table%urn(b), self%visits(b))
-          call compute_urn_visits(self, b)
+          call compute_urn_passages(self, b)
           associate (v => self%visits(b))
             do j = 1, v%count
               if (.not. is_long_visit(self%long_visits%least, v%channel(j), v%length(j))) cycle
               i = v%particle(j)
-              call date_back_flight(self%table, particles%x(i), particles%y(i), particles%ux(i), &
-                particles%uy(i), self%flight(i), v%hits(j))
+              call set_flight_to_visit_start(self%table, particles%x(i), particles%y(i), &
+                particles%ux(i), particles%uy(i), self%flight(i), v%hits(j))
             end do
           end associate
           call store_batch_flights(self, b)
@@ -233,15 +233,15 @@ contains
 
   !> Computes the passages through the urn of the visits of batch `b`, and adds their wall hits to
   !> `computed_hits`.
-  subroutine compute_urn_visits(self, b)
+  subroutine compute_urn_passages(self, b)
     type(excursion_type), intent(inout) :: self
     integer, intent(in) :: b
 
     associate (v => self%visits(b))
-      call compute_visits(self%table%urn(b), v)
+      call compute_passages(self%table%urn(b), v)
       self%computed_hits = self%computed_hits + v%all_hits
     end associate
-  end subroutine compute_urn_visits
+  end subroutine compute_urn_passages
 
   !> Writes the flights in which the visits of batch `b` end to the flights of their particles, and
   !> the starts of its long visits to `long_visits`.
@@ -254,7 +254,7 @@ contains
         self%flight, v)
       call store_flights(self%number, self%flight, v%count, v%particle, v%urn, v%channel, v%time, &
         v%length, v%y, v%u_axial, v%u_lateral, v%through)
-      if (self%table%urn(b)%truncates_visits) self%partial_count = self%partial_count &
+      if (self%table%urn(b)%truncates_passages) self%partial_count = self%partial_count &
         + count(v%channel(:v%count) == truncated)
     end associate
   end subroutine store_batch_flights
@@ -318,7 +318,7 @@ contains
           call load_flights(self%number, self%flight, v%count, v%particle, v%reversal_time, &
             v%passage, v%time, v%y, v%u_axial, v%u_lateral)
           call cross_channels(self%table%urn(b), v)
-          call compute_urn_visits(self, b)
+          call compute_urn_passages(self, b)
         end if
         call store_batch_flights(self, b)
         call schedule_events(self%calendar, v%count, v%particle, v%time)

@@ -14,12 +14,13 @@ module battery_flight
   use battery_channel, only: fold_into_channel, facing
   use battery_memory, only: prefer_large_pages
   use battery_table, only: table_type, passage_type, passage_at, channel1, channel2, no_channel
-  use battery_urn, only: urn_type, locate_in_visit, find_first_impact
+  use battery_urn, only: urn_type, locate_in_passage, find_first_impact
   use battery_visits, only: visits_type, truncated
   implicit none (type, external)
   private
-  public :: new_flights, make_initial_flight, date_back_flight, load_flights, store_flights, &
-    locate_particle, locate_trapped_particle, trace_back_into_channel, middle_time, never
+  public :: new_flights, make_initial_flight, set_flight_to_visit_start, load_flights, &
+    store_flights, locate_particle, locate_trapped_particle, trace_back_into_channel, &
+    middle_time, never
   public :: to_gate, to_periodic_line, counted_in_gate, trapped_in_urn, trapped_in_channel, &
     partial_visit
 
@@ -104,10 +105,11 @@ contains
     end if
   end subroutine make_initial_flight
 
-  !> Flight of a particle before its first visit, which `make_initial_flight` has added. The start
-  !> of a long visit is stored as such a flight: the particle has just entered the channel where it
-  !> was, or is about to have its first impact in the urn.
-  subroutine date_back_flight(table, x, y, ux, uy, flight, hits)
+  !> Sets the flight of a particle that starts within a visit to the start of that visit, which
+  !> `make_initial_flight` has added: in a channel, time 0 and the particle's own height and
+  !> velocity, as if it entered the channel there; in an urn, its first impact and the time of it.
+  !> The start of a long visit is stored as such a flight.
+  subroutine set_flight_to_visit_start(table, x, y, ux, uy, flight, hits)
     type(table_type), intent(in) :: table
     !> Its initial position, a length, and velocity, of length 1, in the frame of the table.
     real(wp), intent(in) :: x, y, ux, uy
@@ -133,7 +135,7 @@ contains
       flight%u_lateral = uy
       flight%through = passage%time
     end if
-  end subroutine date_back_flight
+  end subroutine set_flight_to_visit_start
 
   !> Time at which a particle that enters a gate reaches the middle line of channel 1: always after
   !> the entry, however short the channel.
@@ -239,7 +241,7 @@ contains
       hits = int(passed, int64)
     else
       elapsed = -min(flight%time - now, flight%length)
-      call locate_in_visit(urn, channel, flight%y, flight%u_axial, flight%u_lateral, elapsed, &
+      call locate_in_passage(urn, channel, flight%y, flight%u_axial, flight%u_lateral, elapsed, &
         position, velocity, hits)
       call trace_back_into_channel(urn, flight%time - now - flight%length, position, velocity, hits)
     end if

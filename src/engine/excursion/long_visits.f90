@@ -15,7 +15,7 @@ module battery_long_visits
   use battery_flight, only: never, to_gate, to_periodic_line, trapped_in_urn, partial_visit, &
     trace_back_into_channel
   use battery_archive, only: archive_type
-  use battery_urn, only: urn_type, locate_in_visit, locate_after
+  use battery_urn, only: urn_type, locate_in_passage, locate_after
   use battery_visits, only: visits_type
   implicit none (type, external)
   private
@@ -69,7 +69,7 @@ contains
     allocate (visits%visit_start(0))
   end subroutine new_long_visits
 
-  !> Whether a visit is long, from what `compute_visits` yields.
+  !> Whether a visit is long, from what `compute_passages` yields.
   elemental function is_long_visit(least, channel, length) result(yes)
     !> Of `long_visits_type`.
     real(wp), intent(in) :: least
@@ -106,8 +106,8 @@ contains
     integer, intent(in) :: number
     !> Flights before those of the batch are stored.
     type(flight_type), intent(in) :: flight(number)
-    !> Visits of the batch, computed; `reversal_time` is the time at which a gate turned a particle
-    !> back before, or `never`.
+    !> Visits of the batch, computed; `reversal_time` is the time at which a gate reversed a
+    !> particle before, or `never`.
     type(visits_type), intent(in) :: batch
     integer :: i, j, k
 
@@ -223,7 +223,7 @@ contains
 
     associate (visit_start => visits%visit_start(visits%place(particle)))
       if (visit_start%next_event == partial_visit) then
-        call locate_in_visit(urn, no_channel, visit_start%y, visit_start%u_axial, &
+        call locate_in_passage(urn, no_channel, visit_start%y, visit_start%u_axial, &
           visit_start%u_lateral, now - visit_start%time, position, velocity, hits)
       else
         from = merge(channel2, channel1, visit_start%next_event == to_periodic_line)

@@ -9,7 +9,7 @@ module battery_partial_visits
   use battery_calendar, only: flight_type
   use battery_flight, only: partial_visit, never, store_flights
   use battery_long_visits, only: long_visits_type, store_visit_starts
-  use battery_urn, only: urn_type, compute_visits, locate_in_visit
+  use battery_urn, only: urn_type, compute_passages, locate_in_passage
   use battery_visits, only: visits_type, reserve_visits, truncated
   implicit none (type, external)
   private
@@ -72,8 +72,8 @@ contains
         if (flown%urn /= urn_index) cycle
         j = visits%count + 1
         visits%count = j
-        call locate_in_visit(urn, int(truncated), flown%y, flown%u_axial, flown%u_lateral, 0.0_wp, &
-          position, velocity, hits)
+        call locate_in_passage(urn, int(truncated), flown%y, flown%u_axial, flown%u_lateral, &
+          0.0_wp, position, velocity, hits)
         visits%particle(j) = resumed(k)
         visits%urn(j) = urn_index
         visits%time(j) = resumed_time(k)
@@ -88,7 +88,7 @@ contains
     end do
     associate (v => visits, n => visits%count)
       if (n == 0) return
-      call compute_visits(urn, v)
+      call compute_passages(urn, v)
       computed_hits = computed_hits + v%all_hits
       v%length(:n) = v%length(:n) + rest(:n)
       v%many_hits_count = n

@@ -11,7 +11,7 @@ module battery_precomputed_visits
   use battery_channel, only: channel1, channel2
   use battery_urn_shape, only: cross_channels
   use battery_flight, only: load_flights, never, partial_visit, to_gate
-  use battery_urn, only: urn_type, compute_visits
+  use battery_urn, only: urn_type, compute_passages
   use battery_visits, only: visits_type
   implicit none (type, external)
   private
@@ -24,7 +24,7 @@ module battery_precomputed_visits
   !> Precomputing pays where a window has fewer events than this on average.
   real(wp), parameter :: most_events = 1.0_wp
 
-  !> A precomputed visit: its particle, and what `compute_visits` yields of it.
+  !> A precomputed visit: its particle, and what `compute_passages` yields of it.
   type :: precomputed_visit_type
     integer :: particle = 0
     integer(int64) :: channel = 0
@@ -66,7 +66,7 @@ contains
     !> Particle of each pending event.
     integer, intent(in) :: pending_particle(pending)
     !> In: particle, channel and time of reversal, as `run_serial_window` leaves them; allocated for
-    !> `most_precomputed_visits` more. Out: as `compute_visits` leaves them.
+    !> `most_precomputed_visits` more. Out: as `compute_passages` leaves them.
     type(visits_type), intent(inout) :: visits
     !> Precomputed visits.
     type(precomputed_visits_type), intent(inout) :: precomputed
@@ -110,7 +110,7 @@ contains
       call load_flights(number, flight, visits%count, visits%particle, visits%reversal_time, &
         visits%passage, visits%time, visits%y, visits%u_axial, visits%u_lateral)
       call cross_channels(urn, visits)
-      call compute_visits(urn, visits)
+      call compute_passages(urn, visits)
       computed_hits = computed_hits + visits%all_hits
       do j = started + 1, visits%count
         precomputed%last = modulo(precomputed%last, slots) + 1

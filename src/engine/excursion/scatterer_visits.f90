@@ -19,7 +19,7 @@ module battery_scatterer_visits
   use battery_half_channel_passages, only: compute_half_channel_passages
   use battery_archive, only: archive_type
   use battery_table, only: table_type
-  use battery_urn, only: are_mirror_images, compute_visits, locate_in_visit, locate_after
+  use battery_urn, only: are_mirror_images, compute_passages, locate_in_passage, locate_after
   use battery_visits, only: visits_type, reserve_visits, truncated
   implicit none (type, external)
   private
@@ -174,7 +174,7 @@ contains
         end associate
       end do
       if (v%count == 0) return
-      call compute_visits(table%urn(first), v)
+      call compute_passages(table%urn(first), v)
       do k = 1, v%count
         call end_urn_passage(table, v, k, limit, scatterer_visits%visit(v%particle(k)))
       end do
@@ -207,7 +207,7 @@ contains
           visit%now%uy, until - visit%now%time, position, velocity, later)
         later = later - int(v%hits(k), int64)
       else
-        call locate_in_visit(table%urn(visit%now%urn), int(v%channel(k)), v%y(k), v%u_axial(k), &
+        call locate_in_passage(table%urn(visit%now%urn), int(v%channel(k)), v%y(k), v%u_axial(k), &
           v%u_lateral(k), after, position, velocity, later)
       end if
       visit%hits = visit%hits + later

@@ -19,8 +19,9 @@ module battery_serial_window
 
 contains
 
-  !> Processes the first `events` events and all middle-line crossings before `window_end`; adds the
-  !> visits that they begin.
+  !> Processes a window of at most `longest_serial_window` events, one event at a time;
+  !> `run_batch_window` has the longer ones. Processes the first `events` events and all middle-line
+  !> crossings before `window_end`; adds the visits that they begin.
   subroutine run_serial_window(gate, urn_across, flight, calendar, events, window_start, &
     window_end, visits, event_record, computed_hits)
     type(gate_type), intent(inout) :: gate(2)

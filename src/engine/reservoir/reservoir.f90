@@ -49,7 +49,7 @@ module battery_reservoir
     type(stay_type), allocatable :: stay(:)
     !> Time at which each particle enters its urn, unless it is on its way into a channel. A
     !> separate array, since each tick reads this time of a random particle.
-    real(wp), allocatable :: entered(:)
+    real(wp), allocatable :: urn_entry_time(:)
     !> x of each particle in the frame of the table, for those that are trapped; allocated if there
     !> are any.
     real(wp), allocatable :: trapped_x(:)
@@ -63,7 +63,8 @@ module battery_reservoir
     type(draws_type) :: draws
     !> Longest window, mean time between ticks of one particle, half lengths of the channels, and
     !> the shortest time that the clock of an epoch resolves.
-    real(wp) :: window = 0.0_wp, mean_stay = 0.0_wp, half_length(2) = 0.0_wp, shortest = 0.0_wp
+    real(wp) :: window = 0.0_wp, mean_stay = 0.0_wp, half_length(2) = 0.0_wp, &
+      clock_resolution = 0.0_wp
     !> Whether the urns differ; by urn, the fraction of ticks that thinning keeps, and wall hits per
     !> time; the greater of these two rates.
     logical :: uneven = .false.
@@ -109,12 +110,12 @@ contains
     self%half_length = 0.5_wp*self%table%channel%length
     interval = self%mean_stay + 0.25_wp*pi*self%table%channel(channel1)%length
     self%epoch = power_above(4.0_wp*interval)
-    self%shortest = epsilon(1.0_wp)*self%epoch
+    self%clock_resolution = epsilon(1.0_wp)*self%epoch
     ! If stays are much shorter than passages, most ticks are of particles in the channels.
     self%window = min(min(window_events/real(self%number, wp), 2.0_wp)*interval, &
       window_ticks/real(self%number, wp)*self%mean_stay)
-    if (allocated(self%stay)) deallocate (self%stay, self%entered, self%member)
-    allocate (self%stay(self%number), self%entered(self%number), self%member(self%number))
+    if (allocated(self%stay)) deallocate (self%stay, self%urn_entry_time, self%member)
+    allocate (self%stay(self%number), self%urn_entry_time(self%number), self%member(self%number))
     call empty_queue(self%to_periodic_queue)
     self%members = 0
     self%next_tick = huge(1.0_wp)
@@ -132,7 +133,7 @@ contains
 
     do i = 1, self%number
       call make_initial_stay(self%table, particles%x(i), particles%y(i), particles%ux(i), &
-        particles%uy(i), self%stay(i), self%entered(i))
+        particles%uy(i), self%stay(i), self%urn_entry_time(i))
       associate (stay => self%stay(i))
         select case (stay%phase)
         case (counted_in_gate)
@@ -182,7 +183,7 @@ contains
 
     call rebase_queue(self%to_periodic_queue, self%epoch)
     self%stay%time = self%stay%time - self%epoch
-    self%entered = self%entered - self%epoch
+    self%urn_entry_time = self%urn_entry_time - self%epoch
     if (self%members > 0) self%next_tick = self%next_tick - self%epoch
     call rebase_gates_and_clock(self)
   end subroutine rebase_clock
@@ -208,7 +209,7 @@ contains
       if (time >= window_end) exit
       place = self%draws%selector(self%draws%next_tick - 1)*real(self%members, wp)
       at = min(1 + int(place), self%members)
-      if (self%entered(self%member(at)) <= time) then
+      if (self%urn_entry_time(self%member(at)) <= time) then
         leaves = .true.
         if (self%uneven) call thin_tick(self, self%member(at), place - real(at - 1, wp), time, &
           leaves)
@@ -230,7 +231,7 @@ contains
     urn = self%stay(i)%urn
     is_kept = chance <= self%tick_share(urn)
     if (is_kept) self%fraction = self%fraction &
-      - (self%hit_rate - self%urn_rate(urn))*(time - self%entered(i))
+      - (self%hit_rate - self%urn_rate(urn))*(time - self%urn_entry_time(i))
   end subroutine thin_tick
 
   !> Moves member `at` at `time` out of its urn, into one of the channels.
@@ -248,7 +249,7 @@ contains
     self%draws%next_exit = k + 1
     inverse = self%draws%inverse(k)
     associate (stay => self%stay(i))
-      self%fraction = self%fraction + (self%draws%hits(k) - self%hit_rate*(self%entered(i) &
+      self%fraction = self%fraction + (self%draws%hits(k) - self%hit_rate*(self%urn_entry_time(i) &
         - stay%time))
       stay%time = time
       stay%y = self%draws%y(k)
@@ -279,7 +280,7 @@ contains
 
     if (self%draws%next_tick > block_length) call draw_ticks(self%draws)
     self%next_tick = huge(1.0_wp)
-    if (self%members > 0) self%next_tick = time + self%shortest &
+    if (self%members > 0) self%next_tick = time + self%clock_resolution &
       + self%mean_stay*self%draws%wait(self%draws%next_tick)/real(self%members, wp)
     self%draws%next_tick = self%draws%next_tick + 1
   end subroutine schedule_tick
@@ -311,7 +312,7 @@ contains
         *per_width + 0.5_wp)
       self%fraction = self%fraction + (hits - self%stay(i)%hits)
       self%stay(i)%hits = hits
-      self%entered(i) = 2.0_wp*time - self%stay(i)%time
+      self%urn_entry_time(i) = 2.0_wp*time - self%stay(i)%time
       self%stay(i)%phase = from_gate
       call start_ticking(self, i)
     end do
@@ -319,8 +320,8 @@ contains
   end subroutine reverse_gate
 
   !> Processes the earliest pending crossing of a line (of a single urn: hit of the end wall): the
-  !> particle moves to the urn beyond. One more particle has ticks, so the next tick comes sooner in
-  !> proportion.
+  !> particle moves to the urn across the line. One more particle has ticks, so the next tick comes
+  !> sooner in proportion.
   subroutine process_line_crossing(self, time, window_start, event_record)
     type(reservoir_type), intent(inout) :: self
     real(wp), intent(in) :: time, window_start
@@ -340,7 +341,7 @@ contains
     associate (stay => self%stay(i))
       stay%urn = int(self%table%urn_across(urn), int32)
       stay%phase = int(merge(from_gate, from_channel2, channel == channel1), int32)
-      self%entered(i) = stay%time + 2.0_wp*self%half_length(channel)/stay%u_axial
+      self%urn_entry_time(i) = stay%time + 2.0_wp*self%half_length(channel)/stay%u_axial
     end associate
     call start_ticking(self, i)
     if (self%members == 1) then
@@ -362,7 +363,8 @@ contains
     if (is_trapped(self%stay(i))) then
       state = locate_trapped_stay(self%table, self%stay(i), self%trapped_x(i), self%now)
     else
-      state = locate_stay(self%table, self%stay(i), self%entered(i), self%now, key, int(i, int64))
+      state = locate_stay(self%table, self%stay(i), self%urn_entry_time(i), self%now, key, int(i, &
+        int64))
     end if
   end function state_of
 
@@ -373,7 +375,7 @@ contains
     integer(int64) :: passed
     real(wp) :: outside
 
-    call sum_outside_urns(self%table, self%stay, self%entered, self%now, &
+    call sum_outside_urns(self%table, self%stay, self%urn_entry_time, self%now, &
       self%urn_rate/self%hit_rate, outside, passed)
     total = self%computed_hits + passed
     total = max(total + floor(self%fraction - self%hit_rate*outside + 0.5_wp, int64), 0_int64)
@@ -395,7 +397,7 @@ contains
     class(reservoir_type), intent(inout) :: self
     type(archive_type), intent(inout) :: archive
 
-    call serialize_stays(self%table, self%stay, self%entered, self%trapped_x, archive)
+    call serialize_stays(self%table, self%stay, self%urn_entry_time, self%trapped_x, archive)
     call archive%serialize('members', self%members)
     call archive%serialize('member', self%member(:self%members))
     call archive%serialize('next_tick', self%next_tick)

@@ -95,17 +95,17 @@ contains
 
   !> Initial state of a particle, from its position and velocity at the time 0. If it is in a
   !> channel and heads for the far end, `stay` holds its entry into the channel, which lies in the
-  !> past; otherwise `entered` is the time at which it enters its urn.
-  pure subroutine make_initial_stay(table, x, y, ux, uy, stay, entered)
+  !> past; otherwise `urn_entry_time` is the time at which it enters its urn.
+  pure subroutine make_initial_stay(table, x, y, ux, uy, stay, urn_entry_time)
     type(table_type), intent(in) :: table
     !> Position in the frame of the table, lengths; velocity, of length 1.
     real(wp), intent(in) :: x, y, ux, uy
     type(stay_type), intent(out) :: stay
-    real(wp), intent(out) :: entered
+    real(wp), intent(out) :: urn_entry_time
     type(passage_type) :: passage
 
     passage = passage_at(table, x, y, ux, uy)
-    entered = 0.0_wp
+    urn_entry_time = 0.0_wp
     stay = stay_type(y=y, u_axial=abs(ux), u_lateral=uy, urn=int(passage%urn, int32))
     if (passage%trapped) then
       stay%phase = int(merge(trapped_in_gate, trapped_in_channel2, passage%channel == channel1), &
@@ -118,8 +118,8 @@ contains
       stay%hits = real(channel_hits(table, stay, table%channel(passage%channel)%length/abs(ux)), wp)
     else if (passage%channel /= no_channel) then
       stay%phase = int(merge(from_gate, from_channel2, passage%channel == channel1), int32)
-      entered = passage%time
-      stay%hits = real(channel_hits(table, stay, entered), wp)
+      urn_entry_time = passage%time
+      stay%hits = real(channel_hits(table, stay, urn_entry_time), wp)
     end if
   end subroutine make_initial_stay
 
@@ -135,7 +135,8 @@ contains
       stay) + 0.5_wp, int64)
   end function channel_hits
 
-  !> Width of the channel that a particle is in, or was in last.
+  !> Width of the channel that a particle is in. In an urn: of the channel that it was in last,
+  !> since the wall hits of that passage are still corrected.
   elemental function channel_width_of(table, stay) result(width)
     type(table_type), intent(in) :: table
     type(stay_type), intent(in) :: stay
@@ -163,12 +164,12 @@ contains
   end function remaining_channel_hits
 
   !> Sums over all particles by which `collisions` corrects the counted hits.
-  pure subroutine sum_outside_urns(table, stay, entered, now, rate, outside, passed)
+  pure subroutine sum_outside_urns(table, stay, urn_entry_time, now, rate, outside, passed)
     type(table_type), intent(in) :: table
     type(stay_type), intent(in) :: stay(:)
     !> Time at which each particle enters its urn, if it is on the way there or inside; the time
     !> now, on the same clock.
-    real(wp), intent(in) :: entered(:), now
+    real(wp), intent(in) :: urn_entry_time(:), now
     !> Wall hits per time in each urn, relative to the urn with more hits.
     real(wp), intent(in) :: rate(2)
     !> Time that all particles that are not trapped have spent in their last channels; if the urns
@@ -190,76 +191,76 @@ contains
           passed = passed + channel_hits(table, this_stay, &
             now - this_stay%time) - int(this_stay%hits, int64)
         else
-          outside = outside + (min(entered(i), now) - this_stay%time)
-          if (now < entered(i)) passed = passed + channel_hits(table, this_stay, &
+          outside = outside + (min(urn_entry_time(i), now) - this_stay%time)
+          if (now < urn_entry_time(i)) passed = passed + channel_hits(table, this_stay, &
             now - this_stay%time) - int(this_stay%hits, int64)
         end if
       end associate
     end do
-    if (any(rate < 1.0_wp)) outside = outside + missed_time(stay, entered, now, rate)
+    if (any(rate < 1.0_wp)) outside = outside + missed_time(stay, urn_entry_time, now, rate)
   end subroutine sum_outside_urns
 
   !> Time in the urn with more hits that equals the hits by which stays in the other one fall short.
-  pure function missed_time(stay, entered, now, rate) result(time)
+  pure function missed_time(stay, urn_entry_time, now, rate) result(time)
     type(stay_type), intent(in) :: stay(:)
-    real(wp), intent(in) :: entered(:), now, rate(2)
+    real(wp), intent(in) :: urn_entry_time(:), now, rate(2)
     real(wp) :: time
     integer :: i
 
     time = 0.0_wp
     do i = 1, size(stay)
       if (all(stay(i)%phase /= [from_gate, from_channel2])) cycle
-      time = time + (1.0_wp - rate(stay(i)%urn))*max(now - entered(i), 0.0_wp)
+      time = time + (1.0_wp - rate(stay(i)%urn))*max(now - urn_entry_time(i), 0.0_wp)
     end do
   end function missed_time
 
   !> State (x, y, u_x, u_y) of a trapped particle.
-  pure function locate_trapped_stay(table, stay, x, now) result(place)
+  pure function locate_trapped_stay(table, stay, x, now) result(state)
     type(table_type), intent(in) :: table
     type(stay_type), intent(in) :: stay
     !> x of the particle in the frame of the table; the time now.
     real(wp), intent(in) :: x, now
-    real(wp) :: place(4)
+    real(wp) :: state(4)
     real(wp) :: reflected, hits
 
     ! A signed zero: saved states have always had it.
-    place = [x, 0.0_wp, sign(0.0_wp, x), 0.0_wp]
+    state = [x, 0.0_wp, sign(0.0_wp, x), 0.0_wp]
     call fold_into_channel(stay%y + stay%u_lateral*(now - stay%time), channel_width_of(table, &
-      stay), place(2), reflected, hits)
-    place(4) = reflected*stay%u_lateral
+      stay), state(2), reflected, hits)
+    state(4) = reflected*stay%u_lateral
   end function locate_trapped_stay
 
   !> State (x, y, u_x, u_y) of a particle that is not trapped. In an urn it is drawn, from `key` and
   !> `count`.
-  pure function locate_stay(table, stay, entered, now, key, count) result(place)
+  pure function locate_stay(table, stay, urn_entry_time, now, key, count) result(state)
     type(table_type), intent(in) :: table
     type(stay_type), intent(in) :: stay
     !> Time at which the particle enters its urn, if it is on the way there or inside; the time now,
     !> on the same clock.
-    real(wp), intent(in) :: entered, now
+    real(wp), intent(in) :: urn_entry_time, now
     !> Key of the seed and the time; particle index.
     integer(int64), intent(in) :: key, count
-    real(wp) :: place(4)
+    real(wp) :: state(4)
     real(wp) :: gone, left, begins
 
     begins = table%urn(stay%urn)%channel_start(channel2)
     gone = stay%u_axial*(now - stay%time)
-    left = stay%u_axial*(entered - now)
+    left = stay%u_axial*(urn_entry_time - now)
     select case (stay%phase)
     case (counted_in_gate)
-      place = in_channel(0.5_wp*table%channel(channel1)%length - gone, -1.0_wp)
+      state = in_channel(0.5_wp*table%channel(channel1)%length - gone, -1.0_wp)
     case (to_periodic_line)
-      place = in_channel(begins + gone, 1.0_wp)
+      state = in_channel(begins + gone, 1.0_wp)
     case default
-      if (now >= entered) then
-        place = draw_point_in_urn(table, stay%urn, key, count)
+      if (now >= urn_entry_time) then
+        state = draw_point_in_urn(table, stay%urn, key, count)
       else if (stay%phase == from_gate) then
-        place = in_channel(0.5_wp*table%channel(channel1)%length - left, 1.0_wp)
+        state = in_channel(0.5_wp*table%channel(channel1)%length - left, 1.0_wp)
       else
-        place = in_channel(begins + left, -1.0_wp)
+        state = in_channel(begins + left, -1.0_wp)
       end if
     end select
-    place(1:3:2) = x_direction(stay%urn)*place(1:3:2)
+    state(1:3:2) = x_direction(stay%urn)*state(1:3:2)
 
   contains
 
@@ -280,11 +281,11 @@ contains
   end function locate_stay
 
   !> Draws a position uniform in an urn, as if the urn lay at x > 0, and a direction.
-  pure function draw_point_in_urn(table, urn, key, count) result(place)
+  pure function draw_point_in_urn(table, urn, key, count) result(state)
     type(table_type), intent(in) :: table
     integer(int32), intent(in) :: urn
     integer(int64), intent(in) :: key, count
-    real(wp) :: place(4)
+    real(wp) :: state(4)
     integer(int64) :: counter
     real(wp) :: angle
     logical :: inside
@@ -292,20 +293,20 @@ contains
     counter = ishft(count, 20)
     do
       call try_random_point(table%urn(urn), 1.0_wp - hashed_uniform(key, counter), &
-        hashed_uniform(key, counter + 1), place(1), place(2), inside)
+        hashed_uniform(key, counter + 1), state(1), state(2), inside)
       counter = counter + 2
       if (inside) exit
     end do
-    place(1) = x_direction(urn)*place(1)
+    state(1) = x_direction(urn)*state(1)
     angle = 2.0_wp*pi*hashed_uniform(key, counter)
-    place(3:) = [cos(angle), sin(angle)]
+    state(3:) = [cos(angle), sin(angle)]
   end function draw_point_in_urn
 
-  !> Saves or restores the stays, and the time at which each particle `entered` its urn.
-  subroutine serialize_stays(table, stay, entered, trapped_x, archive)
+  !> Saves or restores the stays, and the time at which each particle `urn_entry_time` its urn.
+  subroutine serialize_stays(table, stay, urn_entry_time, trapped_x, archive)
     type(table_type), intent(in) :: table
     type(stay_type), intent(inout) :: stay(:)
-    real(wp), intent(inout) :: entered(:)
+    real(wp), intent(inout) :: urn_entry_time(:)
     !> x of each particle in the frame of the table; allocated if there are trapped ones.
     real(wp), allocatable, intent(inout) :: trapped_x(:)
     type(archive_type), intent(inout) :: archive
@@ -319,7 +320,7 @@ contains
       end where
     end if
     call archive%serialize('time', stay%time, 'y', stay%y, 'along', stay%u_axial, 'across', &
-      stay%u_lateral, 'entered', entered)
+      stay%u_lateral, 'entered', urn_entry_time)
     call archive%serialize('hits', stay%hits)
     call archive%serialize('heading', stay%phase)
     call archive%serialize('urn', stay%urn)

@@ -10,7 +10,7 @@ module battery_collision
   use battery_kinds, only: wp, int64
   use battery_table, only: table_type
   use battery_motion, only: motion_type, move_straight, meets_channel_wall, meets_nothing
-  use battery_bounce, only: hit_wall, reverse_motion
+  use battery_wall_motion, only: hit_wall, reverse_motion
   use battery_wall_by_wall, only: wall_by_wall_type, reset_counts, load_motions, &
     serialize_counts, process_event, end_instant, count_hits, longest_window, end_of_window, &
     window_events, most_hits

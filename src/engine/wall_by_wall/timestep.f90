@@ -94,7 +94,8 @@ contains
     allocate (self%urn(number), self%chamber(number), self%near_wall(number))
   end subroutine prepare_engine
 
-  !> Advances by the steps of a window, of at most `duration`.
+  !> Advances by the steps of a window: by less than `duration` if `steps` time steps are shorter,
+  !> or if the epoch ends.
   subroutine process_window(self, event_record, duration)
     class(timestep_type), intent(inout) :: self
     type(event_record_type), intent(inout) :: event_record

@@ -8,7 +8,7 @@ module battery_wall_by_wall
   use battery_kinds, only: wp, int64
   use battery_table, only: channel1, channel2, in_gate
   use battery_motion, only: motion_type, meets_gate, meets_line, meets_channel_wall
-  use battery_bounce, only: motion_at, find_first_wall, hit_wall, pass_line, reverse_motion, &
+  use battery_wall_motion, only: motion_at, find_first_wall, hit_wall, pass_line, reverse_motion, &
     heads_for_middle, time_to_middle, is_trapped
   use battery_gate, only: enter_gate, has_undecided_entries, decide_reversal, uncount_particle, &
     uncount_all, number_inside, counted_particle

@@ -6,7 +6,7 @@
 !> do not reflect. The walls and lines that a particle can reach follow from its chamber and its
 !> direction, never from its distance to a wall: no position has to be nudged, and a particle is
 !> placed exactly on the wall or line that it reaches.
-module battery_bounce
+module battery_wall_motion
   use battery_kinds, only: wp, int8
   use battery_table, only: table_type, urn_type, channel1, channel2, no_channel, in_urn, in_gate, &
     in_channel2, urn_at, chamber_at, x_direction
@@ -34,8 +34,8 @@ contains
       chamber=int(chamber_at(table, x, y, huge(1.0_wp)), int8))
   end function motion_at
 
-  !> Finds the first wall or line that a newly placed particle reaches, and the time `wait` until
-  !> then.
+  !> Finds the first wall or line (chord, middle line or periodic line) that a particle reaches, and
+  !> the time `wait` until then. Called at the start, when there is no previous wall.
   pure subroutine find_first_wall(table, motion, wait)
     type(table_type), intent(in) :: table
     type(motion_type), intent(inout) :: motion
@@ -258,4 +258,4 @@ contains
     motion%y = sign(min(abs(motion%y), half_width_at(urn, motion)), motion%y)
   end subroutine keep_between_walls
 
-end module battery_bounce
+end module battery_wall_motion

@@ -6,7 +6,7 @@
 !> calls the visits that have not ended are moved to the front of the arrays (`compact_active`). A
 !> visit that has not ended after `march_rounds` rounds, or any visit if the openings are tiny, goes
 !> to `find_opening`, which takes O(log) operations for any number of impacts.
-module battery_disc_visits
+module battery_disc_passages
   use battery_kinds, only: wp, int64, angle_kind
   use battery_channel, only: channel1, channel2
   use battery_disc, only: disc_type, recompute_grazing_incidence, grazing_cosine
@@ -15,7 +15,7 @@ module battery_disc_visits
   use battery_visits, only: visits_type, group_size, no_channel, many_hits
   implicit none (type, external)
   private
-  public :: compute_disc_visits
+  public :: compute_disc_passages
 
   !> Impacts that `step_impacts` computes of each particle.
   integer, parameter :: march_steps = 8
@@ -26,9 +26,11 @@ module battery_disc_visits
 
 contains
 
-  !> Computes the passages of a batch of visits through the disc: input and output as at
-  !> `visits_type`.
-  subroutine compute_disc_visits(disc, visits)
+  !> Computes the passages of a batch of visits through the disc: from position and velocity at the
+  !> chord where each enters to those at the chord where it leaves. Sets the next channel, the
+  !> length of the passage, the time through the next channel and the hits as well (see
+  !> `visits_type`).
+  subroutine compute_disc_passages(disc, visits)
     type(disc_type), intent(in) :: disc
     type(visits_type), intent(inout) :: visits
     integer :: n, n_active, j, active, round
@@ -69,17 +71,17 @@ contains
     call find_exits(n, disc, visits%c, visits%s, visits%hit_x, visits%hit_y, visits%impacts, &
       visits%first, visits%channel, visits%x, visits%y, visits%u_axial, visits%u_lateral, &
       visits%length, visits%through)
-    if (.not. all_visits_end(visits%count, visits%u_axial, visits%impacts)) then
+    if (.not. all_passages_end(visits%count, visits%u_axial, visits%impacts)) then
       do j = 1, visits%count
         if (visits%u_axial(j) > 0.0_wp .and. visits%impacts(j) >= 0.0_wp) cycle
-        call repair_visit(disc, visits, j)
+        call repair_passage(disc, visits, j)
         if (any(visits%many_hits_index(:visits%many_hits_count) == j)) cycle
         visits%many_hits_count = visits%many_hits_count + 1
         visits%many_hits_index(visits%many_hits_count) = j
       end do
     end if
     call sum_hits(n, visits%count, visits%hits, visits%impacts, visits%all_hits)
-  end subroutine compute_disc_visits
+  end subroutine compute_disc_passages
 
   !> Numbers the slots 1, 2, ...
   pure subroutine number_slots(n, slot)
@@ -93,18 +95,18 @@ contains
   end subroutine number_slots
 
   !> Whether each visit ended in an opening, with a velocity that points outwards.
-  pure function all_visits_end(n, u_axial, impacts)
+  pure function all_passages_end(n, u_axial, impacts)
     integer, intent(in) :: n
     real(wp), intent(in) :: u_axial(n), impacts(n)
-    logical :: all_visits_end
+    logical :: all_passages_end
     integer :: j, left
 
     left = 0
     do j = 1, n
       left = left + merge(1, 0, u_axial(j) > 0.0_wp .and. impacts(j) >= 0.0_wp)
     end do
-    all_visits_end = left == n
-  end function all_visits_end
+    all_passages_end = left == n
+  end function all_passages_end
 
   !> Adds the impacts to the wall hits, and sums all hits, in `group_size` lanes so that the sum is
   !> vectorised.
@@ -365,7 +367,7 @@ contains
   !> Repairs two rare results. If rounding took an impact beside a corner for one in the opening,
   !> the velocity points into the urn: the corner belongs to the urn, so the visit goes on. If no
   !> impact lies in an opening, the particle never leaves.
-  pure subroutine repair_visit(disc, visits, j)
+  pure subroutine repair_passage(disc, visits, j)
     type(disc_type), intent(in) :: disc
     type(visits_type), intent(inout) :: visits
     integer, intent(in) :: j
@@ -390,6 +392,6 @@ contains
     visits%u_axial(j) = visits%c(j)
     visits%u_lateral(j) = visits%s(j)
     visits%length(j) = visits%first(j) + 2.0_wp*disc%radius*visits%c(j)*visits%impacts(j)
-  end subroutine repair_visit
+  end subroutine repair_passage
 
-end module battery_disc_visits
+end module battery_disc_passages

@@ -8,7 +8,7 @@
 !>
 !> A visit that has not ended after `most_marches` rounds is finished alone. If its boundary state
 !> recurs, it never ends; else it is truncated, to be continued later.
-module battery_polygon_visits
+module battery_polygon_passages
   use battery_kinds, only: wp, int64
   use battery_channel, only: channel1, channel2
   use battery_motion, only: slowest
@@ -17,7 +17,7 @@ module battery_polygon_visits
   use battery_visits, only: visits_type, group_size, no_channel, truncated, many_hits
   implicit none (type, external)
   private
-  public :: compute_polygon_visits
+  public :: compute_polygon_passages
 
   !> Hits between two compactions, and rounds after which a visit is finished alone.
   integer, parameter :: march_hits = 4, most_marches = 2500
@@ -34,7 +34,7 @@ contains
 
   !> Computes the passages of a batch of visits through the polygon; input and output are explained
   !> at `visits_type`.
-  subroutine compute_polygon_visits(polygon, visits)
+  subroutine compute_polygon_passages(polygon, visits)
     type(polygon_type), intent(in) :: polygon
     type(visits_type), intent(inout) :: visits
     integer :: active, n, j, round
@@ -57,7 +57,7 @@ contains
       call finish_single_visit(polygon, visits, j)
     end do
     visits%all_hits = sum(int(visits%hits(:visits%count), int64))
-  end subroutine compute_polygon_visits
+  end subroutine compute_polygon_passages
 
   !> Copies the start of each visit: position, velocity set to length 1; no visit has ended.
   pure subroutine load_visits(n, x, y, along, across, px, py, ux, uy, hits, length, flies, slot)
@@ -104,7 +104,7 @@ contains
             half_openings(channel2), count, px(first), py(first), ux(first), uy(first), normal_x, &
             normal_y, offset, half_opening)
         else
-          call find_nearest_side(polygon%sides, corner, side, polygon%sharp, count, px(first), &
+          call find_nearest_side(polygon%sides, corner, side, polygon%tolerance, count, px(first), &
             py(first), ux(first), uy(first), normal_x, normal_y, offset, half_opening)
         end if
         call reflect_visits(count, normal_x, normal_y, offset, half_opening, px(first), py(first), &
@@ -178,11 +178,11 @@ contains
   end subroutine find_only_side
 
   !> As `find_only_side`, in any polygon: finds the nearest of the sides that a path leaves through.
-  pure subroutine find_nearest_side(sides, corner, side, sharp, n, px, py, ux, uy, normal_x, &
+  pure subroutine find_nearest_side(sides, corner, side, tolerance, n, px, py, ux, uy, normal_x, &
     normal_y, offset, half_opening)
     integer, intent(in) :: sides, n
     !> As `list_sides` makes them; bound on rounding errors, a length.
-    real(wp), intent(in) :: corner(2, 0:sides), side(4, sides), sharp
+    real(wp), intent(in) :: corner(2, 0:sides), side(4, sides), tolerance
     real(wp), intent(in) :: px(n), py(n), ux(n), uy(n)
     real(wp), intent(out) :: normal_x(n), normal_y(n), offset(n), half_opening(n)
     real(wp) :: before(lanes), ahead(lanes), soonest(lanes)
@@ -193,7 +193,7 @@ contains
       offset, half_opening, before, ahead)
     far = 1.0_wp/slowest
     soonest(:n) = far
-    least = -sharp
+    least = -tolerance
     do k = 1, sides
       x = corner(1, k)
       y = corner(2, k)
@@ -331,7 +331,8 @@ contains
     if (visits%steps(j) >= many_hits) call list_visit_with_many_hits(visits, mine)
   end subroutine store_exit
 
-  !> Adds a visit to the list of those with many hits.
+  !> Lists a visit that has ended or was truncated, so that its start is stored if the visit is long
+  !> (`store_visit_starts`).
   pure subroutine list_visit_with_many_hits(visits, which)
     type(visits_type), intent(inout) :: visits
     !> Its index in the batch.
@@ -409,4 +410,4 @@ contains
     call list_visit_with_many_hits(visits, mine)
   end subroutine store_truncated
 
-end module battery_polygon_visits
+end module battery_polygon_passages
