@@ -45,10 +45,10 @@ if TYPE_CHECKING:
 ROUNDS = 2 ** np.arange(9)  # at which circulations are counted
 AGED = ((7, 0.01), (10, 0.0204), (12, 0.0612))  # T, w' of *The age of a run*
 EARLY, LATE = (2800.0, 8400.0), (2e4, 1e6)  # ages of runs whose current was to be explained
-OPENED = 0.03  # w' of the circuit whose rates are events apart
+OPENED = 0.03  # w' of the circuit whose rates are listed apart
 NAMES = {"A": "A: 7, 7; 0.03", "B": "B: 4, 40; 0.03", "C": "C: 4, 40; 0.3", "D": "D: 4, 40; 1"}
 FEW = 8  # sets of particles that theory draws elsewhere
-LAST = 7  # round up to which fates are events apart
+LAST = 7  # round up to which fates are listed apart
 AGES, WIDTHS = (Path(__file__).parents[1] / f"{one}/results.csv"
                 for one in ("age_of_a_run", "narrow_channels"))  # fmt: skip
 
@@ -247,7 +247,7 @@ def after_the_runs(case: Case) -> tuple[Straight, dict[str, float]]:
     return straight, turned
 
 
-def told_rates(work: study.Study, at: int) -> Logs:
+def predicted_rates(work: study.Study, at: int) -> Logs:
     """Return what theory has of the logs of a circuit, by draw: rates, and current of rounds."""
     case = CASES[at]
     duration = float(logs_of(work, at)["duration"])
@@ -285,8 +285,8 @@ def told_currents(
 
 
 def rates_of(work: study.Study, at: int) -> Logs:
-    """Return `told_rates`, made now or kept from before."""
-    return kept(work, f"rates_{at}", lambda: told_rates(work, at))
+    """Return `predicted_rates`, made now or kept from before."""
+    return kept(work, f"rates_{at}", lambda: predicted_rates(work, at))
 
 
 def rates(work: study.Study) -> list[Row]:
@@ -297,8 +297,9 @@ def rates(work: study.Study) -> list[Row]:
     rows: list[Row] = []
     for at, case in enumerate(CASES):
         logs, theory = logs_of(work, at), rates_of(work, at)
-        duration, said = logs["counts"].shape[0] * float(logs["duration"]), mean_of(theory["theory"])
-        counts, changed = logs["counts"].sum(axis=0), mean_of(theory["changed"])
+        duration = logs["counts"].shape[0] * float(logs["duration"])
+        counts, said = logs["counts"].sum(axis=0), mean_of(theory["theory"])
+        changed = mean_of(theory["changed"])
         rows += [
             {"circuit": case.label, "rounds": str(m), "measured": counts[k] / duration,
              "error": math.sqrt(said[0][k] / duration), "theory": said[0][k],
