@@ -9,7 +9,7 @@
 module battery_engine
   use battery_kinds, only: wp, int64
   use battery_table, only: table_type
-  use battery_gate, only: gate_type, new_gate, forget_entries, rebase_gate, serialize_gate
+  use battery_gate, only: gate_type, new_gate, clear_new_entries, rebase_gate, serialize_gate
   use battery_event_record, only: event_record_type
   use battery_archive, only: archive_type
   implicit none (type, external)
@@ -143,7 +143,7 @@ contains
     call set_up_engine(self, table, threshold, size(particles%x))
     self%clock_start = clock
     call self%load_particles(particles)
-    call forget_entries(self%gate)
+    call clear_new_entries(self%gate)
     if (allocated(particles%x)) deallocate (particles%x, particles%y, particles%ux, particles%uy)
   end subroutine start_with_thresholds
 

@@ -23,7 +23,7 @@ module battery_gate
   use battery_archive, only: archive_type
   implicit none (type, external)
   private
-  public :: gate_type, new_gate, enter_gate, forget_entries, must_reverse, has_undecided_entries, &
+  public :: gate_type, new_gate, enter_gate, clear_new_entries, must_reverse, has_undecided_entries, &
     decide_reversal, uncount_all
   public :: number_inside, counted_particle, next_crossing_time, first_crossing_time
   public :: gate_crossed_first, uncount_first, uncount_particle, rebase_gate, serialize_gate
@@ -82,11 +82,11 @@ contains
 
   !> Called once, after the initial state is loaded: the particles counted so far started inside.
   !> They count, but only a later entry can make the gate reverse.
-  elemental subroutine forget_entries(gate)
+  elemental subroutine clear_new_entries(gate)
     type(gate_type), intent(inout) :: gate
 
     gate%entered = .false.
-  end subroutine forget_entries
+  end subroutine clear_new_entries
 
   !> Number of counted particles.
   elemental function number_inside(gate) result(number)
