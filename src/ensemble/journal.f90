@@ -261,7 +261,7 @@ contains
     if (has_state .and. .not. allocated(error)) call remove_states(state, error)
   end subroutine write_finished
 
-  !> Syncs all results of this rank to disk.
+  !> Syncs all results of this rank to disk, always; `write_finished` decides when to call it.
   subroutine sync_finished(journal, error)
     type(journal_type), intent(inout) :: journal
     !> Results could not be written to disk.

@@ -325,7 +325,7 @@ contains
   end subroutine move_task_outputs
 
   !> Whether a run with a given number of collisions ended before the last snapshot: its first
-  !> number is NaN.
+  !> number is NaN. The summary counts such runs.
   pure logical function ended_early(snapshots, times)
     !> States at the snapshots, as in an output; number of snapshots.
     real(dp), intent(in) :: snapshots(:)

@@ -55,7 +55,7 @@ contains
     if (queue%in_order) call sift_up_last(queue)
   end subroutine push
 
-  !> Adds `count` particles.
+  !> Adds `count` particles at once: those that a gate still counts after a window are put back.
   pure subroutine push_all(queue, count, time, particle)
     type(queue_type), intent(inout) :: queue
     !> Number of particles.

@@ -139,7 +139,8 @@ contains
       distinct_names(pack(keys%name, keys%group == group))))
   end function meant_key
 
-  !> The symbol of a key as a name: `n` for N, `w_prime` for w'.
+  !> The symbol of a key as a user may write it in a namelist, to recognise it: `n` for N, `w_prime`
+  !> for w'.
   pure function written_symbol(key) result(name)
     type(key_type), intent(in) :: key
     character(len=:), allocatable :: name

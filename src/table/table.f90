@@ -194,7 +194,8 @@ contains
 
   !> Time in which the directions of motion relax in the larger urn: 25 r^4/w^3 in discs
   !> (docs/theory.md), with r the radius of a disc of the urn's area. Huge if channel 1 is closed,
-  !> or if particles have only finitely many directions.
+  !> or if particles have only finitely many directions. Errors of a run shorter than ten times this
+  !> are not estimated.
   pure function relaxation_time(table) result(time)
     type(table_type), intent(in) :: table
     real(wp) :: time, radius

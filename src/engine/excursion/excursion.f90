@@ -209,8 +209,9 @@ contains
     end do
   end subroutine load_particles_straight
 
-  !> Puts the next event of particle `i` into the calendar. A particle inside a gate has none: its
-  !> gate counts it.
+  !> Schedules the first event of particle `i`, at the start of a run: in the calendar, or, of a
+  !> particle inside a gate, its crossing of the middle line in the queue of that gate, which counts
+  !> it.
   subroutine schedule_next_event(self, i)
     type(excursion_type), intent(inout) :: self
     integer, intent(in) :: i

@@ -123,7 +123,8 @@ contains
     end if
   end subroutine make_initial_stay
 
-  !> Wall hits of a particle in its channel within the time `passage` after its entry.
+  !> Wall hits of a particle in its channel within the time `passage` after its entry; for particles
+  !> that are in a channel at the start or when hits are counted.
   elemental function channel_hits(table, stay, passage) result(hits)
     type(table_type), intent(in) :: table
     type(stay_type), intent(in) :: stay
