@@ -312,7 +312,8 @@ def rates(work: study.Study) -> list[Row]:
 def pooled(work: study.Study) -> list[Row]:
     """Return counts over theory of all circuits but one, and of that one, by number of rounds.
 
-    Errors of counts are the larger of Poisson's and that over logs, those of theory over draws, which all circuits share.
+    Errors of counts are the larger of Poisson's and that over logs, those of theory over draws,
+    which all circuits share.
     """
     rows: list[Row] = []
     parts = ("w' = 0.003, 0.01", [k for k, one in enumerate(CASES) if one.channel2_width != OPENED])
