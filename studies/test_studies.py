@@ -15,6 +15,7 @@ MORE = {
     "entropy_production": ("postproc.theory",),
     "experiments": ("postproc.accuracy.predictions", "postproc.theory"),
     "fluctuations": ("postproc.theory",),
+    "narrow_channels": ("postproc.theory",),
     "order_of_transition": ("postproc.theory",),
     "paper_statements": ("postproc.theory",),
     "where_models_fail": ("postproc.accuracy", "postproc.theory"),

@@ -23,8 +23,8 @@ module battery_gate
   use battery_archive, only: archive_type
   implicit none (type, external)
   private
-  public :: gate_type, new_gate, enter_gate, clear_new_entries, must_reverse, has_undecided_entries, &
-    decide_reversal, uncount_all
+  public :: gate_type, new_gate, enter_gate, clear_new_entries, must_reverse
+  public :: has_undecided_entries, decide_reversal, uncount_all
   public :: number_inside, counted_particle, next_crossing_time, first_crossing_time
   public :: gate_crossed_first, uncount_first, uncount_particle, rebase_gate, serialize_gate
   public :: gate_window_type, reserve_gate_window, apply_rule_to_window

@@ -28,6 +28,7 @@ contains
 
   !> Adds a problem of a line, or of the whole file if `line` is 0.
   pure subroutine add_line_problem(problems, line, text)
+    !> Problems of the file so far.
     type(line_problems_type), intent(inout) :: problems
     !> Line of the namelist, from 1.
     integer, intent(in) :: line
@@ -52,6 +53,7 @@ contains
   !> All problems of the file `name`, one per line, in the order of its lines, those without a line
   !> first; if there are many, the first ones, the last one and the number of all. Empty: none.
   pure function line_problems_text(problems, name) result(text)
+    !> Problems of the file.
     type(line_problems_type), intent(in) :: problems
     character(len=*), intent(in) :: name
     character(len=:), allocatable :: text

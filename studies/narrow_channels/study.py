@@ -29,6 +29,7 @@ import numpy as np
 import postproc
 from postproc import study
 from postproc.figures import style
+from postproc.theory.models import MODELS
 from studies.narrow_channels import visits
 
 if TYPE_CHECKING:
@@ -54,7 +55,7 @@ CASES = {
 NEAR = {"E": (0.03, (15, 15)), "F": (0.3, (10, 10))}
 QUICK, FULL = (0.3, 0.2, 0.1), (0.3, 0.2, 0.1, 0.05)
 LIMIT = 0.001  # w that stands for the limit in theories
-MODELS = ("window", "renewal_occupation", "two_port", "direction", "one_particle")
+ASKED = tuple(name for name in MODELS if name not in ("renewal", "renewal_chain"))
 WALKED = 0.02  # w of walkers in circuits A and D
 VISITS = ((0.01, 2_000_000),)  # w and how many
 RATIOS = (0.001, 0.003, 0.01, 0.03, 0.1, 0.2, 0.3, 1.0)
@@ -296,7 +297,7 @@ def visits_and_limits(work: study.Study) -> None:
 def theories(work: study.Study) -> None:
     """Make theories.csv: current over that of `window` and chi by each theory, 0 if it has none."""
     places = (*((plan.case, plan.width) for plan in NEARER[1]), ("E", LIMIT), ("F", LIMIT))
-    asked = [(*place, model) for place in places for model in MODELS
+    asked = [(*place, model) for place in places for model in ASKED
              if place[1] != LIMIT or model != "one_particle"]  # fmt: skip
     asked += [(case, WALKED, "one_particle") for case in "AD"]
     with ThreadPoolExecutor(work.ranks) as pool:
@@ -455,7 +456,7 @@ def _near_transition(axes: Axes, case: str, runs: Sequence[Row], theory: Sequenc
     """Draw runs from both sides and theories against w: current over the paper's, or chi."""
     ratio, thresholds = NEAR[case]
     key = "over_paper" if case == "E" else "chi"
-    for at, model in enumerate(MODELS):
+    for at, model in enumerate(ASKED):
         own = sorted((row for row in theory if row["circuit"] == case and row["model"] == model),
                      key=lambda row: row["w"])  # fmt: skip
         axes.plot([row["w"] for row in own], [row[key] for row in own],
