@@ -33,7 +33,7 @@ esac
 srun --mpi="$pmi" "$program" "${namelists[SLURM_ARRAY_TASK_ID]}"
 code=$?
 if [ "$code" -eq 3 ]; then
-  # This element alone.
-  scontrol requeue "$SLURM_JOB_ID"
+  # This element alone: the number of the last element's job is that of the whole array.
+  scontrol requeue "${SLURM_ARRAY_JOB_ID}_$SLURM_ARRAY_TASK_ID"
 fi
 exit "$code"

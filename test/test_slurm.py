@@ -90,11 +90,13 @@ def log(folder: Path) -> str:
     return "\n".join(file.read_text(errors="replace") for file in folder.glob("*.log"))
 
 
-def assert_ended_well(slurm: Slurm, job: str, folder: Path, name: str, restarts: int = 1) -> None:
-    """Wait for a job that was queued again; its file has the bits of an undisturbed run."""
+def assert_ended_well(
+    slurm: Slurm, job: str, folder: Path, name: str, *, again: bool = True
+) -> None:
+    """Wait for a job's end, queued again or not; its file has the bits of an undisturbed run."""
     found = slurm.end_of(job, PATIENCE)
-    assert found["JobState"] == "COMPLETED", (found, log(folder))
-    assert int(found["Restarts"]) >= restarts, (found, log(folder))
+    if found["JobState"] != "COMPLETED" or (int(found["Restarts"]) > 0) != again:
+        pytest.fail("\n".join([*(f"{key}={value}" for key, value in found.items()), log(folder)]))
     assert_undisturbed(folder, name)
 
 
@@ -200,22 +202,33 @@ def test_a_time_limit_is_no_end(slurm: Slurm, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("mpi", MPI)
-@pytest.mark.parametrize("script", [*EXAMPLES, "slurm_array.sh"])
+@pytest.mark.parametrize("script", EXAMPLES)
 def test_a_job_that_is_told_to_stop_goes_on(
     slurm: Slurm, tmp_path: Path, script: str, mpi: str
 ) -> None:
-    """The signal, sent by hand, to whom each example has it sent; the array's elements by turns."""
+    """The signal, sent by hand, to whom each example has it sent."""
     folder = checkout(tmp_path, mpi, SHORT)
-    array = "array" in script
-    names = ["a", "b"] if array else ["phase_diagram"]
-    job = submitted(slurm, script, folder, *(["--array=0-1"] if array else []))
-    jobs = [f"{job}_{k}" for k in range(2)] if array else [job]
-    ranks = halted(folder, *names)
-    for one in jobs:
-        slurm.ask("scancel", *(["--batch"] if "mpirun" in script else []), "--signal=USR1", one)
+    job = submitted(slurm, script, folder)
+    ranks = halted(folder, "phase_diagram")
+    slurm.ask("scancel", *(["--batch"] if "mpirun" in script else []), "--signal=USR1", job)
     go_on(ranks, folder)
-    for one, name in zip(jobs, names, strict=True):
-        assert_ended_well(slurm, one, folder, name)
+    assert_ended_well(slurm, job, folder, "phase_diagram")
+
+
+@pytest.mark.parametrize("mpi", MPI)
+def test_an_element_of_an_array_goes_on_alone(slurm: Slurm, tmp_path: Path, mpi: str) -> None:
+    """The last element's job has the array's number; one that was complete before stays so."""
+    folder = checkout(tmp_path, mpi, SHORT)
+    job = submitted(slurm, "slurm_array.sh", folder, "--array=0-1")
+    ranks = halted(folder, "a", "b")
+    of_the_last = [one for one in ranks if "/b.nml" in command_line(one)]
+    program.send([one for one in ranks if one not in of_the_last], signal.SIGCONT)
+    assert_ended_well(slurm, f"{job}_0", folder, "a", again=False)
+    assert slurm.about(f"{job}_1")["JobId"] == job
+    slurm.ask("scancel", "--signal=USR1", f"{job}_1")
+    go_on(of_the_last, folder)
+    assert_ended_well(slurm, f"{job}_1", folder, "b")
+    assert_ended_well(slurm, f"{job}_0", folder, "a", again=False)
 
 
 @pytest.mark.parametrize("script", EXAMPLES)
@@ -232,7 +245,7 @@ def test_a_cancelled_job_goes_on_when_it_is_submitted_again(
     wait_for(lambda: slurm.state_of_nodes() == "idle", folder)
     if "mpirun" not in script:
         assert list((folder / "phase_diagram.h5.tasks").glob("task_*")), log(folder)
-    assert_ended_well(slurm, submitted(slurm, script, folder), folder, "phase_diagram", restarts=0)
+    assert_ended_well(slurm, submitted(slurm, script, folder), folder, "phase_diagram", again=False)
 
 
 @pytest.mark.parametrize("mpi", MPI[1:])
