@@ -54,6 +54,11 @@ def newest_flang() -> str:
 def parts(arguments: argparse.Namespace) -> list[Part]:
     """List the parts in the order in which they run."""
     fortran = [sys.executable, "test/run", "--flavour"]
+    debug = [*fortran, "debug", f"--flags={arguments.debug}", f"--ldflags={arguments.debug_link}"]
+    # The suites with the optimised library take half as long again, most of it in the
+    # linker. What users run is tested by the Python tests in any case.
+    release = [f"--library={arguments.built}", f"--library-flags={arguments.release}",
+               f"--library-ldflags={arguments.release_link}"]
     style = [str(TOOLS / "ruff"), "check", "--config", "postproc/ruff.toml"]
     style += ["postproc", "test", "docs", "studies"]
     # A file goes to one worker, so that what its tests share is made once.
@@ -74,12 +79,9 @@ def parts(arguments: argparse.Namespace) -> list[Part]:
             lint=True,
         ),
         Part("style of the Python sources", style, lint=True),
-        Part(
-            "Fortran, debug build with traps, then the library that make has built",
-            [*fortran, "debug", f"--flags={arguments.debug}", f"--ldflags={arguments.debug_link}",
-             f"--library={arguments.built}", f"--library-flags={arguments.release}",
-             f"--library-ldflags={arguments.release_link}"],
-        ),
+        Part("Fortran, debug build with traps, then the library that make has built",
+             [*debug, *release]) if arguments.full
+        else Part("Fortran, debug build with traps", debug),
         *second,
         Part("Python", [*python, "postproc", "test", "studies"]),
     ]
