@@ -89,12 +89,20 @@ class Transfer:
 
 def polynomials(sine: Floats) -> Floats:
     """Return the even Legendre polynomials, orthonormal over 0 ... 1: shape (polynomial, *s)."""
-    one, two, found = np.ones_like(sine), sine, []
-    for degree in range(2 * POLYNOMIALS):
-        if degree % 2 == 0:
-            found.append(math.sqrt(2.0 * degree + 1.0) * one)
-        one, two = two, ((2.0 * degree + 3.0) * sine * two - (degree + 1.0) * one) / (degree + 2.0)
-    return np.array(found)
+    square, found = sine**2, np.empty((POLYNOMIALS, *np.shape(sine)))
+    found[0], before = 1.0, 0.0
+    for k in range(POLYNOMIALS - 1):
+        # s^2 p_k = after p_(k+1) + own p_k + before p_(k-1)
+        n = 2.0 * k
+        own = (2.0 * n * (n + 1.0) - 1.0) / ((2.0 * n - 1.0) * (2.0 * n + 3.0))
+        after = (n + 1.0) * (n + 2.0) / (2.0 * n + 3.0)
+        after /= math.sqrt((2.0 * n + 1.0) * (2.0 * n + 5.0))
+        np.multiply(square - own, found[k], out=found[k + 1])
+        if k:
+            found[k + 1] -= before * found[k - 1]
+        found[k + 1] /= after
+        before = after
+    return found
 
 
 @lru_cache(maxsize=32)
@@ -110,14 +118,14 @@ def transfer(radius: float, width1: float, width2: float) -> Transfer:
     kernel, stay = np.zeros((2, 2, POLYNOMIALS, POLYNOMIALS)), np.zeros((2, POLYNOMIALS))
     for own, other in ((0, 1), (1, 0)):
         found = visits(radius, widths[own], widths[other])
-        place, weight = found.nodes()
-        entering = polynomials(np.abs(np.sin(place - found.incidence)).ravel())
-        leaving = np.sin(place + found.shift + found.incidence).ravel()
-        leaving = polynomials(np.abs(leaving)) * weight.ravel()
-        stay[own] = entering @ (weight * stays(radius, found, widths[own], widths[other])).ravel()
-        same = np.broadcast_to(found.same, place.shape).ravel()
-        kernel[own, own] = entering[:, same] @ leaving[:, same].T
-        kernel[own, other] = entering[:, ~same] @ leaving[:, ~same].T
+        for out, chosen in ((own, found.same), (other, ~found.same)):
+            for part in found.parts(chosen):
+                place, weight = part.nodes()
+                entering = polynomials(np.sin(place - part.incidence).ravel())
+                leaving = polynomials(np.sin(place + part.shift + part.incidence).ravel())
+                inside = stays(radius, part, widths[own], widths[other])
+                stay[own] += entering @ (weight * inside).ravel()
+                kernel[own, out] += (entering * weight.ravel()) @ leaving.T
     for own in (0, 1):  # all particles leave
         kernel[own, own, 0, 0] += 1.0 - kernel[own, :, 0, 0].sum()
     return Transfer(kernel, stay)
@@ -138,11 +146,13 @@ def _narrow_transfer(radius: float, width1: float, width2: float) -> Transfer:
     kernel = np.zeros((2, 2, POLYNOMIALS, POLYNOMIALS))
     for own, other in ((0, 1), (1, 0)):
         found = visits(radius, widths[own], widths[other])
-        place, weight = found.nodes()
-        square = 0.5 * (2.0 * place + found.shift) ** 2
         for out, chosen in ((own, found.same), (other, ~found.same)):
-            diffusion = np.average(square[:, chosen], weights=weight[:, chosen])
-            factor = np.exp(-diffusion * degree * (degree + 1.0))
+            square = total = 0.0
+            for part in found.parts(chosen):
+                place, weight = part.nodes()
+                square += float((weight * (2.0 * place + part.shift) ** 2).sum())
+                total += float(weight.sum())
+            factor = np.exp(-0.5 * square / total * degree * (degree + 1.0))
             kernel[own, out] = np.diag(chance[own, out] * factor)
     sine, weights = fate.directions()
     chord = polynomials(sine) @ (weights * np.sqrt(1.0 - sine**2))
