@@ -358,8 +358,12 @@ def homogeneous_kind(circuit: Circuit) -> str:
     return min(states, key=lambda one: abs(one.urn2_number - second)).kind if states else "neutral"
 
 
-def _held_states(circuit: Circuit) -> list[tuple[Held, str]]:
-    """Return the circuit held in each of its states, and the kind of the state."""
+@lru_cache(maxsize=8)
+def _held_states(circuit: Circuit) -> tuple[tuple[Held, str], ...]:
+    """Return the circuit held in each of its states, and the kind of the state.
+
+    As `scan`, it is asked for states, kinds and currents by age.
+    """
     equations, found = Directions(circuit), []
     for (one, here), (other, there) in pairwise(scan(circuit)):
         before, after = _excess(here), _excess(there)
@@ -378,7 +382,7 @@ def _held_states(circuit: Circuit) -> list[tuple[Held, str]]:
 
         optimize.brentq(excess, other, one, xtol=1e-5)
         found.append((latest[0], "stable" if before > 0.0 else "unstable"))
-    return found
+    return tuple(found)
 
 
 def most_polarised(circuit: Circuit) -> Held | None:
