@@ -37,7 +37,7 @@ from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy import integrate, optimize
+from scipy import integrate, linalg, optimize
 
 from postproc.progress import doing
 from postproc.theory import fate, ports
@@ -276,7 +276,8 @@ class Directions:
             held.append(urn.stay[0] @ sent_back + urn.stay[1] @ arriving)
         matrix = np.concatenate([*rows, np.array(held)])
         right = np.concatenate([np.zeros(4 * size), parts])
-        solution = np.linalg.lstsq(matrix, right, rcond=None)[0].reshape(4, size)
+        # many times faster than by singular values, and as sure of the rank
+        solution = linalg.lstsq(matrix, right, lapack_driver="gelsy")[0].reshape(4, size)
         return solution[:2], solution[2:]
 
     def _with_fates(

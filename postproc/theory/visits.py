@@ -47,6 +47,7 @@ NEAREST = 1e-6  # distance from a rational part of a turn at which the grid towa
 RUNGS = 12  # points of that grid
 EVEN = 8000  # additional cells of equal width, for visits of more chords
 LONGEST = 1e7  # chords; longer visits are left out
+AT_ONCE = 16384  # cases of `first_multiple` at a time
 TOGETHER = 4096  # pieces at a time, few enough for the fast memory of a processor
 
 
@@ -108,10 +109,10 @@ def first_multiple(step: Floats, turn: Floats, low: Floats, high: Floats) -> Flo
         missed = np.flatnonzero(~hit)
         places, step, turn, low, high = (x.take(missed) for x in (places, step, turn, low, high))
         levels.append((places, step, turn, low))
-        rest = np.fmod(turn, step)
+        rest = np.mod(turn, step)
         on = np.flatnonzero(rest > TOUCH * step)
         places, step, turn, below, above = (x.take(on) for x in (places, rest, step, low, high))
-        low, high = turn - np.fmod(above, turn), turn - np.fmod(below, turn)
+        low, high = turn - np.mod(above, turn), turn - np.mod(below, turn)
     for places, step, turn, low in reversed(levels):
         found[places] = np.ceil((low + turn * found.take(places)) / step)
     return found
@@ -119,6 +120,9 @@ def first_multiple(step: Floats, turn: Floats, low: Floats, high: Floats) -> Flo
 
 def _next(delta: Floats, angle: Floats, low: Floats, high: Floats) -> Floats:
     """Return the smallest n >= 0 with angle + n delta within low ... high, mod a turn."""
+    if delta.size > AT_ONCE:
+        parts = [slice(at, at + AT_ONCE) for at in range(0, delta.size, AT_ONCE)]
+        return np.concatenate([_next(delta[x], angle[x], low[x], high[x]) for x in parts])
     behind = np.mod(angle - low, TURN)
     width = high - low
     found = np.zeros(delta.size)
