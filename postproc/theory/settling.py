@@ -94,9 +94,7 @@ class Settling:
         rate, here, there = (np.concatenate([one[k].ravel() for one in moves]) for k in range(3))
         leaving = sparse.diags((up + down + rise + fall).ravel())
         equations = leaving - sparse.csc_matrix((rate, (here, there)), shape=leaving.shape)
-        times = linalg.spsolve(
-            equations.tocsc(), np.ones(lag.size), permc_spec="MMD_AT_PLUS_A"
-        ).reshape(lag.shape)
+        times = linalg.spsolve(equations.tocsc(), np.ones(lag.size)).reshape(lag.shape)
         first = offset + start
         found = float(np.interp(first, settled, times[first - second[0]]))
         return found if 0.0 < found < LONGEST else math.inf
