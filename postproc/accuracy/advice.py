@@ -26,11 +26,12 @@ import math
 import tempfile
 import time
 from dataclasses import dataclass, replace
+from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy import stats
+from scipy import special
 
 from postproc.accuracy import ladder, model_errors, predictions, transients
 from postproc.cli import InputError
@@ -339,6 +340,7 @@ def transition_of(circuit: Circuit, model: Model) -> float:
     By halves of the range between a T that polarises and one that does not.
     """
 
+    @cache
     def chi(threshold: int) -> float:
         at_threshold = replace(circuit, threshold=threshold, gate2_threshold=None)
         return max((one.mass_spread for one in model.solve_stable(at_threshold)), default=0.0)
@@ -386,7 +388,8 @@ def chance_of_theory(
     """
     error = max(LEAST, math.hypot(found.error / math.sqrt(REPLICAS), other_error))
     off, within = value - found.value - found.lacking, tolerance * abs(found.value)
-    return float(np.diff(stats.t.cdf((off + np.array([-within, within])) / error, REPLICAS - 1))[0])
+    ends = (off + np.array([-within, within])) / error
+    return float(np.diff(special.stdtr(REPLICAS - 1, ends))[0])
 
 
 def chance_of_runs(
@@ -396,7 +399,7 @@ def chance_of_runs(
     error = max(LEAST, math.hypot(found.error / math.sqrt(replicas), other_error))
     within = tolerance * abs(found.value)
     ends = (found.lacking + np.array([-within, within])) / error
-    return float(np.diff(stats.t.cdf(ends, REPLICAS - 1))[0])
+    return float(np.diff(special.stdtr(REPLICAS - 1, ends))[0])
 
 
 def replicas_for(found: Pilot, tolerance: float) -> int:
@@ -407,7 +410,7 @@ def replicas_for(found: Pilot, tolerance: float) -> int:
     wanted = tolerance * abs(found.value)
     left = wanted - abs(found.lacking)
     wanted = left if left > 0.0 else wanted
-    wanted /= float(stats.t.ppf(0.5 * (1.0 + SURE), REPLICAS - 1))
+    wanted /= float(special.stdtrit(REPLICAS - 1, 0.5 * (1.0 + SURE)))
     return max(FEWEST, math.ceil((found.error / wanted) ** 2))
 
 

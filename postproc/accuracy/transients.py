@@ -11,6 +11,7 @@ measurements against the age of runs.
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -52,13 +53,18 @@ def missing(circuit: Circuit, chi: float, transients: Floats, measured: Floats) 
     """
     if float(circuit.channel2_width) == 0.0:
         return np.zeros(np.shape(transients))
-    own = MODELS["two_port"].of(circuit)
-    number2 = 0.5 * float(circuit.number) * (1.0 + chi)
-    around = two_port.circulating_at(own, number2, np.append(AGES, math.inf))
-    lacking = integrate.cumulative_trapezoid(around[-1] - around[:-1], AGES, initial=0.0)
+    lacking = _lacking(MODELS["two_port"].of(circuit), chi)
     start = np.asarray(transients, float)
     ends = [np.interp(age, AGES, lacking) for age in (start, start + measured)]
     return (ends[1] - ends[0]) / measured
+
+
+@lru_cache(maxsize=4)
+def _lacking(circuit: Circuit, chi: float) -> Floats:
+    """Return the integral of the missing current from the first of `AGES` to each of them."""
+    number2 = 0.5 * float(circuit.number) * (1.0 + chi)
+    around = two_port.circulating_at(circuit, number2, np.append(AGES, math.inf))
+    return integrate.cumulative_trapezoid(around[-1] - around[:-1], AGES, initial=0.0)
 
 
 def of_current(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import json
 import math
 from dataclasses import replace
@@ -17,6 +18,7 @@ from postproc.theory.circuit import Circuit
 from postproc.theory.models import MODELS
 
 if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
     from pathlib import Path
 
 CASE = """
@@ -26,6 +28,37 @@ CASE = """
 &scan replicas = 4 /
 """
 FOUND = Pilot(0.9, 0.009, 0.0, 1000.0, 2000.0, 1e-6, 0.05)
+
+
+def _namelist(*given: object) -> str:
+    return json.dumps(advice.namelist_of(*given), sort_keys=True)
+
+
+def _remembered(
+    function: Callable[..., object], key_of: Callable[..., str] = lambda *given: repr(given)
+) -> Callable[..., object]:
+    """Return the function with its results kept, by the text of what it is asked."""
+    known: dict[str, object] = {}
+
+    @functools.wraps(function)
+    def asked(*given: object) -> object:
+        key = key_of(*given)
+        if key not in known:
+            known[key] = function(*given)
+        return known[key]
+
+    return asked
+
+
+@pytest.fixture(autouse=True, scope="module")
+def _one_answer_each() -> Iterator[None]:
+    """Theories and runs (of one seed) say the same each time: they are asked once."""
+    with pytest.MonkeyPatch.context() as patch:
+        for name in ("cost_of", "runs"):
+            patch.setattr(advice, name, _remembered(getattr(advice, name), _namelist))
+        for name in ("theory_says", "transition_of"):
+            patch.setattr(advice, name, _remembered(getattr(advice, name)))
+        yield
 
 
 def told(capsys: pytest.CaptureFixture[str]) -> tuple[dict, str]:
@@ -280,6 +313,6 @@ def test_the_map_is_asked_at_the_nearest_point_of_like_circuits() -> None:
         told = model_errors.words(own, quantity)
         assert f"two_port {100.0 * abs(float(row[column])):.2g} %" in told
         assert told.index("two_port") < told.index("timestep 0.003")
-    found = Pilot(0.87, 0.009, 0.0, 1000.0, 2000.0, 1e-6, 0.05)
+    found = Pilot(0.87, 0.009, 0.0, 1000.0, 2000.0, 1e-8, 0.05)  # too cheap to ask all theories
     advised = advice.advise(advice.table_of(own), own, "chi", 0.001, found)
     assert model_errors.words(own, "chi") in advised.reason

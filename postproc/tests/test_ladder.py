@@ -40,7 +40,7 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, dict[str, Answer
         "excursion": _battery(folder, "excursion", 32000.0),
         "reservoir": _battery(folder, "reservoir", 8000.0),
         "collision": _battery(folder, "collision", 1500.0),
-        "timestep": _battery(folder, "timestep", 1000.0, time_step=0.03),
+        "timestep": _battery(folder, "timestep", 700.0, time_step=0.03),
     }
     found["synchronous"] = _battery(folder, "synchronous", 700.0)
     return found

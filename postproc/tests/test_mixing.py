@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 from dataclasses import replace
+from functools import cache
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -71,8 +72,9 @@ def _chains(
     ]
 
 
-def _counts(series: list[Series]) -> mixing.Counts:
-    parts = [mixing.polarised_counts(CIRCUIT, one) for one in series]
+@cache
+def _counts(kept: tuple[float, float], burst: int) -> mixing.Counts:
+    parts = [mixing.polarised_counts(CIRCUIT, one) for one in _chains(kept, burst=burst)]
     return mixing.Counts(
         np.concatenate([part.measured for part in parts], axis=1),
         np.concatenate([part.expected for part in parts], axis=1),
@@ -81,7 +83,7 @@ def _counts(series: list[Series]) -> mixing.Counts:
 
 @pytest.mark.parametrize("kept", [(1.0, 1.0), (0.8, 0.5)])
 def test_what_the_sparse_urn_keeps_back_is_found(kept: tuple[float, float]) -> None:
-    counts = _counts(_chains(kept))
+    counts = _counts(kept, 1)
     ratio = dict(zip(mixing.OUTFLOWS, counts.ratio(), strict=True))
     errors = dict(zip(mixing.OUTFLOWS, 5.0 / np.sqrt(counts.measured.sum(axis=1)), strict=True))
     assert ratio["sparse1"] == pytest.approx(kept[0], abs=errors["sparse1"])
@@ -92,7 +94,7 @@ def test_what_the_sparse_urn_keeps_back_is_found(kept: tuple[float, float]) -> N
 
 @pytest.mark.parametrize("burst", [1, 3])
 def test_scatter_is_one_by_chance_and_the_size_of_bursts(burst: int) -> None:
-    counts = _counts(_chains((1.0, 1.0), burst=burst))
+    counts = _counts((1.0, 1.0), burst)
     scatter = dict(zip(mixing.OUTFLOWS, counts.scatter(), strict=True))
     error = 5.0 * math.sqrt(2.0 / counts.measured.shape[1])
     assert scatter["sparse1"] == pytest.approx(burst, abs=burst * error)

@@ -92,7 +92,7 @@ FEW = [(0.0102, 5), (0.0306, 13)]
 
 def test_it_meets_some_polarised_points_of_comp01() -> None:
     """At the paper's length; `test_it_meets_all_polarised_points_of_comp01` has the others."""
-    effort = replace(QUICK, batches=6, transient=3000.0, duration=2500.0)
+    effort = replace(QUICK, transient=3000.0, duration=2500.0)
     few = [one for one in comp01_check.POINTS if (one.channel2_width, one.threshold) in FEW]
     spread, current = root_mean_square([comp01_check.off(one, effort) for one in few])
     assert len(few) == len(FEW)
@@ -181,7 +181,7 @@ def test_images_of_unequal_circuits() -> None:
 
 def test_kinds_on_either_side_of_the_transitions() -> None:
     """Too many may pass, so nothing polarises; in between equal shares do not last."""
-    short = replace(QUICK, batches=2, duration=500.0)
+    short = replace(QUICK, copies=4, batches=2, transient=700.0, duration=300.0)
     for threshold, kind in ((18, "stable"), (7, "unstable")):
         circuit = replace(PAPER, threshold=threshold)
         assert homogeneous_kind(circuit, short) == kind
@@ -197,7 +197,7 @@ def test_transition_lies_below_the_renewal_gates() -> None:
 
 def test_batches_are_drawn_by_their_seeds() -> None:
     """The same seeds give the same numbers, others differ by about the error given."""
-    short = replace(QUICK, transient=500.0, duration=500.0)
+    short = replace(QUICK, copies=2, transient=200.0, duration=200.0)
     one, again = (walk(PAPER, 0.96, short) for _ in range(2))
     other = walk(PAPER, 0.96, replace(short, seed=101))
     assert np.array_equal(one.half2_number, again.half2_number)

@@ -47,22 +47,20 @@ def simulated(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the shares of each stay that get through a gate, and their errors."""
     random, gates, entries = np.random.default_rng(1), 1500, 500
-    leaves, who = np.full((gates, threshold), -1.0), np.full((gates, threshold), -1)
+    leaves, who = np.full((threshold, gates), -1.0), np.full((threshold, gates), -1)
     clock, came, out = np.zeros(gates), np.zeros(stays.size), np.zeros(stays.size)
     at = np.arange(gates)
-    for entry in range(entries):
+    kinds = random.choice(stays.size, p=shares, size=(entries, gates))
+    for entry, kind in enumerate(kinds):
         clock += random.exponential(1.0 / rate, gates)
-        kind = random.choice(stays.size, p=shares, size=gates)
-        oldest = leaves.argmin(axis=1)
-        full = leaves[at, oldest] > clock
+        oldest = leaves.argmin(axis=0)
+        full = np.flatnonzero(leaves[oldest, at] > clock)
         if entry >= entries // 4:
             came += np.bincount(kind, minlength=stays.size)
             out += np.bincount(kind[full], minlength=stays.size)
-            out += np.bincount(who[full].ravel(), minlength=stays.size)
-        leaves[full], who[full] = -1.0, 0
-        enters = np.flatnonzero(~full)
-        leaves[enters, oldest[enters]] = clock[enters] + stays[kind[enters]]
-        who[enters, oldest[enters]] = kind[enters]
+            out += np.bincount(who[:, full].ravel(), minlength=stays.size)
+        leaves[oldest, at], who[oldest, at] = clock + stays[kind], kind
+        leaves[:, full], who[:, full] = -1.0, 0
     return 1.0 - out / came, np.sqrt(np.maximum(out, 1.0)) / came
 
 

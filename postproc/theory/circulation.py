@@ -106,8 +106,8 @@ class Straight:
 
     def depth(self, urn: Integers, slope: Floats, draw: np.random.Generator) -> Floats:
         """Return the depths in the gates at which particles are reversed."""
-        place = draw.integers(0, self.threshold[urn] + 1)
-        inside = draw.standard_gamma(place) / np.maximum(self.entries[urn], 1e-300)
+        place = draw.integers(0, (self.threshold + 1)[urn])
+        inside = draw.standard_gamma(place) / np.maximum(self.entries, 1e-300)[urn]
         deep = inside / np.sqrt(1.0 + slope**2)
         anywhere = 0.5 * self.lengths[0] * draw.random(urn.size)
         return np.where(deep < 0.5 * self.lengths[0], deep, anywhere)
@@ -132,11 +132,14 @@ class Straight:
         off = least * np.exp(spread * draw.random(SAMPLES)) * draw.choice([-1.0, 1.0], SAMPLES)
         near = draw.choice(middle, SAMPLES) + off
         slope = np.where(draw.random(SAMPLES) < 0.5, near, steepest * draw.random(SAMPLES))
-        density = np.full(SAMPLES, 0.5 / steepest)
-        for one in middle:
-            away = np.abs(slope - one)
-            here = (away >= least) & (away <= most)
-            density[here] += 0.25 / (spread * middle.size * away[here])
+        order = np.argsort(slope)
+        ascending, density = slope[order], np.full(SAMPLES, 0.5 / steepest)
+        ends = np.searchsorted(ascending, middle[:, None] + [-most, -least, least, most])
+        for one, (first, last, start, stop) in zip(middle, ends, strict=True):
+            for here in (slice(first, last), slice(start, stop)):  # on either side of it
+                away = np.abs(ascending[here] - one)
+                density[here] += 0.25 / (spread * middle.size * away)
+        density[order] = density.copy()
         allowed = (slope > 0.0) & (slope < steepest)
         return np.abs(slope), np.where(allowed, 1.0 / (density * SAMPLES), 0.0)
 
@@ -179,16 +182,16 @@ class Straight:
         which, urn = np.arange(slope.size), np.full(slope.size, 1 - start)
         for _ in range(ROUNDS):
             place = _folded(place + slope * length2, width2) + slope * self.distance[urn]
-            there = np.abs(place) < 0.5 * width1
-            place, slope, urn, which = (one[there] for one in (place, slope, urn, which))
+            there = np.flatnonzero(np.abs(place) < 0.5 * width1)
+            place, slope, urn, which = (one.take(there) for one in (place, slope, urn, which))
             arrived = which, urn
             through = draw.random(urn.size) < self.share[urn]
             shift = np.where(through, length1, 2.0 * self.depth(urn, slope, draw))
             urn = np.where(through, 1 - urn, urn)
             place = _folded(place + slope * shift, width1) + slope * self.distance[urn]
-            there = np.abs(place) < 0.5 * width2
-            place, slope, urn, which = (one[there] for one in (place, slope, urn, which))
-            yield *arrived, which, urn, through[there]
+            there = np.flatnonzero(np.abs(place) < 0.5 * width2)
+            place, slope, urn, which = (one.take(there) for one in (place, slope, urn, which))
+            yield *arrived, which, urn, through.take(there)
             if not which.size:
                 return
             urn = 1 - urn
@@ -223,7 +226,7 @@ class Straight:
         followed = self.rounds(start, place[known], slope[known], draw)
         for m, (arrived, urn1, left, urn2, _) in enumerate(followed, start=1):
             for flow, which, urn in ((up, arrived, urn1), (down, left, urn2)):
-                found = np.bincount(group[which] + urn, weight[which], 2 * GROUPS)
+                found = np.bincount(group.take(which) + urn, weight.take(which), 2 * GROUPS)
                 flow[:, :, m] = found.reshape(GROUPS, 2)
         return down, up
 

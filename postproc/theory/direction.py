@@ -37,7 +37,7 @@ from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy import integrate, optimize
+from scipy import integrate, linalg, optimize
 
 from postproc.progress import doing
 from postproc.theory import fate, ports
@@ -89,12 +89,20 @@ class Transfer:
 
 def polynomials(sine: Floats) -> Floats:
     """Return the even Legendre polynomials, orthonormal over 0 ... 1: shape (polynomial, *s)."""
-    one, two, found = np.ones_like(sine), sine, []
-    for degree in range(2 * POLYNOMIALS):
-        if degree % 2 == 0:
-            found.append(math.sqrt(2.0 * degree + 1.0) * one)
-        one, two = two, ((2.0 * degree + 3.0) * sine * two - (degree + 1.0) * one) / (degree + 2.0)
-    return np.array(found)
+    square, found = sine**2, np.empty((POLYNOMIALS, *np.shape(sine)))
+    found[0], before = 1.0, 0.0
+    for k in range(POLYNOMIALS - 1):
+        # s^2 p_k = after p_(k+1) + own p_k + before p_(k-1)
+        n = 2.0 * k
+        own = (2.0 * n * (n + 1.0) - 1.0) / ((2.0 * n - 1.0) * (2.0 * n + 3.0))
+        after = (n + 1.0) * (n + 2.0) / (2.0 * n + 3.0)
+        after /= math.sqrt((2.0 * n + 1.0) * (2.0 * n + 5.0))
+        np.multiply(square - own, found[k], out=found[k + 1])
+        if k:
+            found[k + 1] -= before * found[k - 1]
+        found[k + 1] /= after
+        before = after
+    return found
 
 
 @lru_cache(maxsize=32)
@@ -110,14 +118,14 @@ def transfer(radius: float, width1: float, width2: float) -> Transfer:
     kernel, stay = np.zeros((2, 2, POLYNOMIALS, POLYNOMIALS)), np.zeros((2, POLYNOMIALS))
     for own, other in ((0, 1), (1, 0)):
         found = visits(radius, widths[own], widths[other])
-        place, weight = found.nodes()
-        entering = polynomials(np.abs(np.sin(place - found.incidence)).ravel())
-        leaving = np.sin(place + found.shift + found.incidence).ravel()
-        leaving = polynomials(np.abs(leaving)) * weight.ravel()
-        stay[own] = entering @ (weight * stays(radius, found, widths[own], widths[other])).ravel()
-        same = np.broadcast_to(found.same, place.shape).ravel()
-        kernel[own, own] = entering[:, same] @ leaving[:, same].T
-        kernel[own, other] = entering[:, ~same] @ leaving[:, ~same].T
+        for out, chosen in ((own, found.same), (other, ~found.same)):
+            for part in found.parts(chosen):
+                place, weight = part.nodes()
+                entering = polynomials(np.sin(place - part.incidence).ravel())
+                leaving = polynomials(np.sin(place + part.shift + part.incidence).ravel())
+                inside = stays(radius, part, widths[own], widths[other])
+                stay[own] += entering @ (weight * inside).ravel()
+                kernel[own, out] += (entering * weight.ravel()) @ leaving.T
     for own in (0, 1):  # all particles leave
         kernel[own, own, 0, 0] += 1.0 - kernel[own, :, 0, 0].sum()
     return Transfer(kernel, stay)
@@ -138,11 +146,13 @@ def _narrow_transfer(radius: float, width1: float, width2: float) -> Transfer:
     kernel = np.zeros((2, 2, POLYNOMIALS, POLYNOMIALS))
     for own, other in ((0, 1), (1, 0)):
         found = visits(radius, widths[own], widths[other])
-        place, weight = found.nodes()
-        square = 0.5 * (2.0 * place + found.shift) ** 2
         for out, chosen in ((own, found.same), (other, ~found.same)):
-            diffusion = np.average(square[:, chosen], weights=weight[:, chosen])
-            factor = np.exp(-diffusion * degree * (degree + 1.0))
+            square = total = 0.0
+            for part in found.parts(chosen):
+                place, weight = part.nodes()
+                square += float((weight * (2.0 * place + part.shift) ** 2).sum())
+                total += float(weight.sum())
+            factor = np.exp(-0.5 * square / total * degree * (degree + 1.0))
             kernel[own, out] = np.diag(chance[own, out] * factor)
     sine, weights = fate.directions()
     chord = polynomials(sine) @ (weights * np.sqrt(1.0 - sine**2))
@@ -266,7 +276,8 @@ class Directions:
             held.append(urn.stay[0] @ sent_back + urn.stay[1] @ arriving)
         matrix = np.concatenate([*rows, np.array(held)])
         right = np.concatenate([np.zeros(4 * size), parts])
-        solution = np.linalg.lstsq(matrix, right, rcond=None)[0].reshape(4, size)
+        # many times faster than by singular values, and as sure of the rank
+        solution = linalg.lstsq(matrix, right, lapack_driver="gelsy")[0].reshape(4, size)
         return solution[:2], solution[2:]
 
     def _with_fates(
@@ -348,8 +359,12 @@ def homogeneous_kind(circuit: Circuit) -> str:
     return min(states, key=lambda one: abs(one.urn2_number - second)).kind if states else "neutral"
 
 
-def _held_states(circuit: Circuit) -> list[tuple[Held, str]]:
-    """Return the circuit held in each of its states, and the kind of the state."""
+@lru_cache(maxsize=8)
+def _held_states(circuit: Circuit) -> tuple[tuple[Held, str], ...]:
+    """Return the circuit held in each of its states, and the kind of the state.
+
+    As `scan`, it is asked for states, kinds and currents by age.
+    """
     equations, found = Directions(circuit), []
     for (one, here), (other, there) in pairwise(scan(circuit)):
         before, after = _excess(here), _excess(there)
@@ -368,7 +383,7 @@ def _held_states(circuit: Circuit) -> list[tuple[Held, str]]:
 
         optimize.brentq(excess, other, one, xtol=1e-5)
         found.append((latest[0], "stable" if before > 0.0 else "unstable"))
-    return found
+    return tuple(found)
 
 
 def most_polarised(circuit: Circuit) -> Held | None:

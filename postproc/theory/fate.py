@@ -24,11 +24,11 @@ the given distribution of stays and the cosine law; for the latter <q> is that o
 
 from __future__ import annotations
 
-from functools import cache
+from functools import cache, lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy import optimize, special
+from scipy import linalg, optimize, special
 
 from postproc.theory.renewal import RENEWAL
 
@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     Floats = NDArray[np.float64]
+    Integers = NDArray[np.intp]
 
 ANGLES = 24
 STEPS, LAST = 64, 6.0  # of the time axis, and its end in shortest stays
@@ -144,15 +145,51 @@ def _meeting(others: int, survive: Floats, last: Floats, poisson: Floats, level:
     Summed over the number of the others that are left. `survive` and `last` have the shape (case,);
     `poisson` has the chances of 0 ... `level` new ones, shape (number, case).
     """
-    k = np.arange(min(others, level) + 1)[:, None]
-    log_binomial = special.gammaln(others + 1.0)
-    log_binomial = log_binomial - special.gammaln(k + 1.0) - special.gammaln(others - k + 1.0)
+    left = min(others, level) + 1
+    chance = _binomial(others, left, survive)
+    found = (1.0 - last) * _paired(chance, poisson[level::-1][:left])
+    return found + last * _paired(chance[:level], poisson[:level][::-1][:left])
+
+
+def _paired(one: Floats, other: Floats) -> Floats:
+    return np.einsum("kc,kc->c", one, other)
+
+
+def _binomial(others: int, count: int, survive: Floats) -> Floats:
+    """Return the chances that 0 ... `count` - 1 of the others are left, shape (number, case)."""
+    k = np.arange(count)[:, None]
     stay, leave = (np.log(np.maximum(one, LEAST)) for one in (survive, 1.0 - survive))
-    chance = np.exp(log_binomial + k * stay + (others - k) * leave)
-    new, fewer = poisson[level - k[:, 0]], np.zeros(chance.shape)
-    some = k[:, 0] < level
-    fewer[some] = poisson[level - 1 - k[some, 0]]
-    return (chance * (new * (1.0 - last) + fewer * last)).sum(axis=0)
+    chance = k * (stay - leave)
+    chance += others * leave + _log_binomials(others)[:count, None]
+    return np.exp(chance, out=chance)
+
+
+@lru_cache(maxsize=256)
+def _log_binomials(others: int) -> Floats:
+    """Return the logarithms of the binomial coefficients of 0 ... `others`."""
+    k = np.arange(others + 1.0)
+    return special.gammaln(others + 1.0) - special.gammaln(k + 1.0) - special.gammaln(k[::-1] + 1.0)
+
+
+@cache
+def _pairs() -> tuple[Integers, Integers, Integers]:
+    """Return the steps of each time after another one that is not 0, the latter's, and between."""
+    row, column = np.tril_indices(STEPS + 1, -1)
+    row, column = row[column > 0], column[column > 0]
+    return row, column, row - column
+
+
+def _first(meet: Floats, again: Floats) -> Floats:
+    """Solve first = meet - again @ first step by step, with negative ones as 0.
+
+    `again` is strictly lower triangular.
+    """
+    first = linalg.blas.dtrsv(np.eye(meet.size) + again, meet, lower=1, diag=1)
+    if np.all(first >= 0.0):
+        return first
+    for at in range(meet.size):
+        first[at] = max(meet[at] - again[at, :at] @ first[:at], 0.0)
+    return first
 
 
 def _thrown_out(threshold: int, rate: float, stays: Floats, shares: Floats) -> float:
@@ -162,18 +199,16 @@ def _thrown_out(threshold: int, rate: float, stays: Floats, shares: Floats) -> f
     staying, filled = _lasting(stays, shares, time)
     _, longer = _lasting(stays, shares, np.concatenate([time, time[1:] + time[-1]]))
     meet = rate * _poisson(np.float64(threshold), rate * filled)
-    first = np.zeros(STEPS + 1)
-    row, column = np.tril_indices(STEPS + 1, -1)  # at time row, after one at time column > 0
-    row, column = row[column > 0], column[column > 0]
-    since = row - column
+    meet[0] = 0.0
+    row, column, since = _pairs()
     survive = (longer[row] - filled[since]) / filled[column]
     poisson = _poisson(np.arange(threshold + 1)[:, None], rate * filled)
     again = np.zeros((STEPS + 1, STEPS + 1))
-    again[row, column] = rate * _meeting(
-        threshold, np.clip(survive, 0.0, 1.0), staying[since], poisson[:, since], threshold
-    )
-    for at in range(1, STEPS + 1):
-        first[at] = max(meet[at] - step * again[at, :at] @ first[:at], 0.0)
+    again[row, column] = step * rate * _meeting(
+        threshold, np.clip(survive, 0.0, 1.0), staying[since], poisson.take(since, axis=1),
+        threshold,
+    )  # fmt: skip
+    first = _first(meet, again)
     alive = 1.0 - step * (np.cumsum(first) - 0.5 * first)
     over = np.flatnonzero(alive <= 1e-4)
     end = over[0] if over.size else STEPS
@@ -198,14 +233,12 @@ def _undisturbed(threshold: int, rate: float, stays: Floats, shares: Floats, ful
     found = _found(threshold, rate * mean_stay, full)[:threshold]
     found = found / found.sum()
     poisson = _poisson(np.arange(threshold)[:, None], rate * filled)
-    meet = rate * sum(
-        weight * _meeting(k, residual, np.zeros(time.size), poisson, level)
-        for k, weight in enumerate(found)
-    )
+    others = np.zeros(poisson.shape)
+    for k, weight in enumerate(found):
+        others[: k + 1] += weight * _binomial(k, k + 1, residual)
+    meet = rate * _paired(others, poisson[::-1])
     again = rate * _meeting(level, residual, staying, poisson, level)
-    first = np.zeros(time.size)
-    for at in range(time.size):
-        first[at] = max(meet[at] - step * again[at:0:-1] @ first[:at], 0.0)
+    first = _first(meet, linalg.toeplitz(step * again * (time > 0.0), np.zeros(time.size)))
     gone = step * (np.cumsum(first) - 0.5 * (first + first[0]))
     alone = np.maximum(1.0 - gone, 1e-12)
     hazard = max(first[-1] / alone[-1], SMALL)
@@ -218,12 +251,11 @@ def _found(threshold: int, load: float, full: float) -> Floats:
 
     def law(x: float) -> Floats:
         # the flow up from k returns from k + 1 or by an emptying: p_k in units of p_T
-        chances = np.zeros(threshold + 1)
-        chances[threshold] = 1.0
-        for k in range(threshold - 1, -1, -1):
-            # x p_k = (k + 1) p_(k+1) + x p_T
-            chances[k] = (k + 1.0) / x * chances[k + 1] + 1.0
-        return chances / chances.sum()
+        chances = [1.0]
+        for k in range(threshold, 0, -1):
+            chances.append(k / x * chances[-1] + 1.0)  # x p_(k-1) = k p_k + x p_T
+        found = np.array(chances[::-1])
+        return found / found.sum()
 
     low, high = 1e-3 * load, 1e3 * load + 10.0
     if not law(low)[-1] < full < law(high)[-1]:

@@ -82,9 +82,10 @@ def disc(circuit: Circuit) -> Ports:
 @lru_cache(maxsize=512)
 def mean_stay(radius: float, own: float, other: float) -> float:
     """Return the mean time in the urn, in through the opening of width `own`."""
-    found = visits(radius, own, other)
-    _, weight = found.nodes()
-    return float((weight * stays(radius, found, own, other)).sum())
+    return sum(
+        float((part.nodes()[1] * stays(radius, part, own, other)).sum())
+        for part in visits(radius, own, other).parts()
+    )
 
 
 def stays(radius: float, found: Pieces, own: float, other: float) -> Floats:

@@ -60,8 +60,10 @@ def coordinates(threshold: ArrayLike, load: ArrayLike) -> tuple[Floats, Floats]:
     The first is linear in log(load) between the ends of `load_range`, the second in 1/sqrt(T).
     """
     count = np.clip(np.asarray(threshold, float), 1.0, None)
-    limits = _range_of_one(float(count.flat[0])) if count.size == 1 else load_range(count)
-    lower, upper = (np.log(limit) for limit in limits)
+    if (one := _only(count)) is not None:
+        lower, upper = _range_of_one(one)
+    else:
+        lower, upper = (np.log(limit) for limit in load_range(count))
     along = 2.0 * (np.log(load) - lower) / (upper - lower) - 1.0
     least = 1.0 / np.sqrt(LARGEST_THRESHOLD)
     across = 2.0 * (1.0 / np.sqrt(count) - least) / (1.0 - least) - 1.0
@@ -80,10 +82,15 @@ def exponential_share(threshold: ArrayLike, load: ArrayLike) -> tuple[Floats, Fl
         return np.full(x.shape, one), np.full(x.shape, other)
     inverse, entries, through = np.ones(x.shape), np.ones(x.shape), np.zeros(x.shape)
     safe = np.where(x > 0.0, x, 1.0)
+    one = _only(count)
     with np.errstate(over="ignore", invalid="ignore"):
         for level in range(1, int(count.max(initial=0.0)) + 1):
             more = level / safe * inverse
             inverse = np.minimum(1.0 + more, 1e300)
+            if one is not None:  # each level is one of all gates
+                entries += inverse
+                through += np.minimum(more, 1e300)
+                continue
             on = level <= count
             entries = np.where(on, entries + inverse, entries)
             through = np.where(on, through + np.minimum(more, 1e300), through)
@@ -100,9 +107,19 @@ def _exponential_share_of_one(threshold: int, load: float) -> tuple[float, float
     return through / entries, (threshold + 1.0) / entries
 
 
+def _only(threshold: Floats) -> float | None:
+    """Return the threshold if all are the same, else None."""
+    if not threshold.size:
+        return None
+    first = threshold.flat[0]
+    return float(first) if threshold.size == 1 or np.all(threshold == first) else None
+
+
 @lru_cache(maxsize=4096)
 def _range_of_one(threshold: float) -> tuple[Floats, Floats]:
-    return load_range(threshold)
+    """Return the logarithms of `load_range`."""
+    lower, upper = load_range(threshold)
+    return np.log(lower), np.log(upper)
 
 
 def fluid_share(relative_load: float) -> float:
@@ -158,13 +175,23 @@ class RenewalGate:
         through, out = exponential_share(threshold, load)
         along, across = coordinates(threshold, load)
         inside = np.clip(along, -1.0, 1.0)
-        correction = chebyshev.chebval2d(inside, across, self._coefficients)
+        correction = self._polynomial(self._coefficients, inside, across, threshold)
         beyond = along > 1.0
         if np.any(beyond):
-            slope = chebyshev.chebval2d(inside, across, self._slopes)
+            slope = self._polynomial(self._slopes, inside, across, threshold)
             correction = np.where(beyond, correction + slope * (along - 1.0), correction)
         with np.errstate(divide="ignore"):
             return np.log(through) - np.log(out) + correction
+
+    @staticmethod
+    def _polynomial(
+        coefficients: Floats, along: Floats, across: Floats, threshold: Floats
+    ) -> Floats:
+        """Return the polynomial in both coordinates; with one threshold it is one in `along`."""
+        if _only(threshold) is None:
+            return chebyshev.chebval2d(along, across, coefficients)
+        series = chebyshev.chebval(across.flat[0], coefficients.T)
+        return chebyshev.chebval(along, series)
 
     def _beyond(self, threshold: Floats, load: Floats) -> Floats:
         """Interpolate in 1/sqrt(T), by Lagrange's formula, between `KNOTS` and the fluid."""
@@ -189,7 +216,7 @@ class RenewalGate:
         """Return the share of the entries that gets through: 1 at load 0, 0 for T = 0."""
         count, x = np.broadcast_arrays(np.asarray(threshold, float), np.asarray(load, float))
         moves = (count > 0) & (x > 0.0)
-        share = special.expit(self.logit(np.where(moves, count, 1.0), np.where(moves, x, 1.0)))
+        share = special.expit(self.logit(np.where(count > 0, count, 1.0), np.where(moves, x, 1.0)))
         return np.where(count > 0, np.where(x > 0.0, share, 1.0), 0.0)
 
     def log_share(self, threshold: ArrayLike, load: ArrayLike) -> Floats:
@@ -197,7 +224,7 @@ class RenewalGate:
         count, x = np.broadcast_arrays(np.asarray(threshold, float), np.asarray(load, float))
         moves = (count > 0) & (x > 0.0)
         log_share = special.log_expit(
-            self.logit(np.where(moves, count, 1.0), np.where(moves, x, 1.0))
+            self.logit(np.where(count > 0, count, 1.0), np.where(moves, x, 1.0))
         )
         return np.where(count > 0, np.where(x > 0.0, log_share, 0.0), -np.inf)
 

@@ -48,7 +48,7 @@ if TYPE_CHECKING:
 ORDER = 1000  # corners up to which every polygon is computed; beyond, tau is taken as uniform
 COUNTED = 2**16  # corners up to which odd n are summed one by one; beyond, the sum is an integral
 PLACES = 1600  # in log n, at which the mean over tau is computed
-TOGETHER = 200_000  # polygons at a time
+TOGETHER = 8192  # polygons at a time, few enough for the fast memory of a processor
 ODD_PRIMITIVE = 4.0 / math.pi**2  # mean of phi(n)/n over odd n, times their density 1/2
 GAUSS = np.polynomial.legendre.leggauss(4)
 EVEN_TAU = np.polynomial.legendre.leggauss(32)
@@ -94,19 +94,29 @@ def return_chance(radius: float, own: float, other: float, order: int = ORDER) -
 
 def _polygons(alpha: float, beta: float, order: int) -> float:
     """Return the sum over odd n from 3 to `order`."""
-    total, n = 0.0, np.arange(3, order + 1, 2)
-    for part in np.array_split(n, int(n.sum() / 2) // TOGETHER + 1):
-        corners = np.repeat(part, part // 2)
-        # k and n - k give the same, with the signs of epsilon and tau exchanged
-        winds = np.arange(corners.size) - np.repeat(np.cumsum(part // 2) - part // 2, part // 2) + 1
-        own = np.gcd(winds, corners) == 1
-        corners, winds = corners[own], winds[own]
-        tau = 2.0 * _inverse(2 * winds, corners) / corners - 1.0
-        angle = math.pi * winds / corners
+    corners, tau, angle = _primitive(max(order, 2).bit_length())
+    last, total = int(np.searchsorted(corners, order, side="right")), 0.0
+    for start in range(0, last, TOGETHER):
+        part = slice(start, min(start + TOGETHER, last))
         for sign in (1.0, -1.0):
-            found = _integral(alpha, beta, corners, sign * tau, angle, sign)
-            total += 2.0 * float((found / corners).sum())
+            found = _integral(alpha, beta, corners[part], sign * tau[part], angle[part], sign)
+            total += 2.0 * float((found / corners[part]).sum())
     return total
+
+
+@lru_cache(maxsize=16)
+def _primitive(bits: int) -> tuple[Floats, Floats, Floats]:
+    """Return n, tau and pi k/n of the polygons of less than 2^bits corners, by increasing n.
+
+    For k below n/2: k and n - k give the same, with the signs of epsilon and tau exchanged.
+    """
+    n = np.arange(3, 2**bits, 2)
+    corners = np.repeat(n, n // 2)
+    winds = np.arange(corners.size) - np.repeat(np.cumsum(n // 2) - n // 2, n // 2) + 1
+    own = np.gcd(winds, corners) == 1
+    corners, winds = corners[own], winds[own]
+    tau = 2.0 * _inverse(2 * winds, corners) / corners - 1.0
+    return corners.astype(float), tau, math.pi * winds / corners
 
 
 def _inverse(number: Integers, modulus: Integers) -> Integers:
@@ -133,16 +143,21 @@ def _integral(
     with np.errstate(divide="ignore", invalid="ignore"):
         bend = np.clip((width - gap) / (1.0 + tau), 0.0, width)
         zero = np.clip(np.where(tau == 0.0, 0.0, -gap / tau), 0.0, bend)
-    ends = [np.zeros(np.shape(bend)), zero, bend, np.full(np.shape(bend), width)]
-    total = np.zeros(np.shape(bend))
+    shape = np.shape(bend)
+    ends = (np.zeros(shape), zero, bend, np.full(shape, width))
+    total = np.zeros(shape)
     for low, high in pairwise(ends):
-        half = 0.5 * (high - low)
-        for node, weight in zip(*GAUSS, strict=True):
-            e = low + half * (1.0 + node)
-            height = np.maximum(np.minimum(width - e, gap + tau * e), 0.0)
-            if angle is not None:
-                height = height * np.sin(angle + sign * e / (2.0 * n))
-            total += weight * half * height
+        middle, half = 0.5 * (low + high), 0.5 * (high - low)
+        # linear in between, of one sign: without an angle the middle has its mean
+        height = np.maximum(np.minimum(width - middle, gap + tau * middle), 0.0)
+        if angle is None:
+            total += 2.0 * half * height
+            continue
+        some = np.flatnonzero((half > 0.0) & (height > 0.0))
+        e = middle[some] + half[some] * GAUSS[0][:, None]
+        height = np.maximum(np.minimum(width - e, gap[some] + tau[some] * e), 0.0)
+        height *= np.sin(angle[some] + sign * e / (2.0 * n[some]))
+        total[some] += half[some] * (GAUSS[1] @ height)
     return total
 
 

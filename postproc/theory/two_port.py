@@ -23,7 +23,7 @@ import numpy as np
 from scipy import optimize
 
 from postproc.theory import ports
-from postproc.theory.circulation import circulating, circulating_current, followed
+from postproc.theory.circulation import circulating, followed
 from postproc.theory.states import State, crossings, places_of
 
 if TYPE_CHECKING:
@@ -188,22 +188,33 @@ def stationary_states(circuit: Circuit, memory: Memory = ports.disc) -> list[Sta
     memory : memory of an urn, `ports.disc` or `ports.well_mixed`. With the former the current of
         circulating particles (`circulation`) is added.
     """
+    found = []
+    for at, state in _states(circuit, memory):
+        if memory is not ports.disc:
+            found.append(state)
+            continue
+        around, error = map(float, _around(circuit, at))
+        found.append(replace(
+            state, net_current=state.net_current + around, circulating_current=around,
+            net_current_error=error,
+        ))  # fmt: skip
+    return found
+
+
+def _states(circuit: Circuit, memory: Memory) -> list[tuple[Balance, State]]:
+    """Return all states, as the urns are there, without circulation."""
     number, found = float(circuit.number), []
-    urns = [memory(side) for side in circuit.sides]
     for first, kind in _roots(circuit, memory):
         at = balance(circuit, first, memory)
-        second = float(at.in_half[1, 0])
-        state = State(second, kind, abs(2.0 * second - number) / number, float(at.net_current[0]))
-        if memory is ports.disc:
-            around, error = map(
-                float, circulating(circuit, urns, at.entries[:, 0], at.across[:, 0])
-            )
-            state = replace(
-                state, net_current=state.net_current + around, circulating_current=around,
-                net_current_error=error,
-            )  # fmt: skip
-        found.append(state)
+        second, current = float(at.in_half[1, 0]), float(at.net_current[0])
+        found.append((at, State(second, kind, abs(2.0 * second - number) / number, current)))
     return found
+
+
+def _around(circuit: Circuit, at: Balance, ages: ArrayLike = math.inf) -> tuple[Floats, Floats]:
+    """Return the circulating current of one pair of urns at each age, and its standard error."""
+    urns = [ports.disc(side) for side in circuit.sides]
+    return circulating(circuit, urns, at.entries[:, 0], at.across[:, 0], ages)
 
 
 def outflows(circuit: Circuit, memory: Memory = ports.disc) -> tuple[Floats, Floats]:
@@ -257,9 +268,7 @@ def circulating_at(circuit: Circuit, number2: float, ages: ArrayLike) -> Floats:
 
     Age 0 is the current of one round, which is present at once; infinity the stationary one.
     """
-    at = _with_number2(circuit, number2)
-    urns = [ports.disc(side) for side in circuit.sides]
-    return circulating_current(circuit, urns, at.entries[:, 0], at.across[:, 0], ages)
+    return _around(circuit, _with_number2(circuit, number2), ages)[0]
 
 
 def conductance(circuit: Circuit, memory: Memory = ports.disc) -> float:
@@ -297,11 +306,10 @@ def transition_width(circuit: Circuit, start: float) -> float:
 
 def by_age(circuit: Circuit, ages: Sequence[float]) -> list[dict[str, float]]:
     """Return the net current of runs of each age in the most polarised stable state, if any."""
-    stable = [one for one in stationary_states(circuit) if one.kind == "stable"]
+    stable = [one for one in _states(circuit, ports.disc) if one[1].kind == "stable"]
     if not stable:
         return []
-    state = max(stable, key=lambda one: one.mass_spread)
-    around = circulating_at(circuit, state.urn2_number, ages)
-    rest = state.net_current - (state.circulating_current or 0.0)
-    return [{"age": age, "net_current": rest + float(one)}
+    at, state = max(stable, key=lambda one: one[1].mass_spread)
+    around, _ = _around(circuit, at, ages)
+    return [{"age": age, "net_current": state.net_current + float(one)}
             for age, one in zip(ages, around, strict=True)]  # fmt: skip

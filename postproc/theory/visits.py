@@ -32,6 +32,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     from numpy.typing import NDArray
 
     Floats = NDArray[np.float64]
@@ -45,6 +47,8 @@ NEAREST = 1e-6  # distance from a rational part of a turn at which the grid towa
 RUNGS = 12  # points of that grid
 EVEN = 8000  # additional cells of equal width, for visits of more chords
 LONGEST = 1e7  # chords; longer visits are left out
+AT_ONCE = 16384  # cases of `first_multiple` at a time
+TOGETHER = 4096  # pieces at a time, few enough for the fast memory of a processor
 
 
 @dataclass(frozen=True)
@@ -81,6 +85,13 @@ class Pieces:
         weights = np.array([[5.0], [8.0], [5.0]]) / 18.0
         return np.stack([middle - gap, middle, middle + gap]), weights * self.share
 
+    def parts(self, chosen: Flags | None = None) -> Iterator[Pieces]:
+        """Yield the pieces, all or those that are chosen, some at a time."""
+        places = np.arange(self.weight.size) if chosen is None else np.flatnonzero(chosen)
+        for start in range(0, places.size, TOGETHER):
+            some = places[start : start + TOGETHER]
+            yield Pieces(*(one.take(some) for one in vars(self).values()))
+
 
 def first_multiple(step: Floats, turn: Floats, low: Floats, high: Floats) -> Floats:
     """Return the smallest n >= 0 with n step mod turn between low and high; inf without one.
@@ -94,20 +105,24 @@ def first_multiple(step: Floats, turn: Floats, low: Floats, high: Floats) -> Flo
     while places.size:
         count = np.ceil(low / step)
         hit = count * step <= high
-        found[places[hit]] = count[hit]
-        levels.append((places, step, turn, low, hit))
-        on = ~hit & (np.fmod(turn, step) > TOUCH * step)
-        places, below, above = places[on], low[on], high[on]
-        step, turn = np.fmod(turn[on], step[on]), step[on]
-        low, high = turn - np.fmod(above, turn), turn - np.fmod(below, turn)
-    for places, step, turn, low, hit in reversed(levels):
-        deeper = places[~hit]
-        found[deeper] = np.ceil((low[~hit] + turn[~hit] * found[deeper]) / step[~hit])
+        found[places] = np.where(hit, count, np.inf)
+        missed = np.flatnonzero(~hit)
+        places, step, turn, low, high = (x.take(missed) for x in (places, step, turn, low, high))
+        levels.append((places, step, turn, low))
+        rest = np.mod(turn, step)
+        on = np.flatnonzero(rest > TOUCH * step)
+        places, step, turn, below, above = (x.take(on) for x in (places, rest, step, low, high))
+        low, high = turn - np.mod(above, turn), turn - np.mod(below, turn)
+    for places, step, turn, low in reversed(levels):
+        found[places] = np.ceil((low + turn * found.take(places)) / step)
     return found
 
 
 def _next(delta: Floats, angle: Floats, low: Floats, high: Floats) -> Floats:
     """Return the smallest n >= 0 with angle + n delta within low ... high, mod a turn."""
+    if delta.size > AT_ONCE:
+        parts = [slice(at, at + AT_ONCE) for at in range(0, delta.size, AT_ONCE)]
+        return np.concatenate([_next(delta[x], angle[x], low[x], high[x]) for x in parts])
     behind = np.mod(angle - low, TURN)
     width = high - low
     found = np.zeros(delta.size)
