@@ -316,7 +316,7 @@ def test_nothing_circulates_where_all_is_filled_evenly(share: float) -> None:
 def test_nothing_goes_round_between_equal_urns() -> None:
     at = two_port.balance(replace(PAPER, threshold=18), 500.0)
     urns = [ports.disc(PAPER)] * 2
-    around = circulation.circulating_current(PAPER, urns, at.entries[:, 0], at.across[:, 0])
+    around, _ = circulation.circulating(PAPER, urns, at.entries[:, 0], at.across[:, 0])
     assert around == pytest.approx(0.0, abs=1e-12)
 
 

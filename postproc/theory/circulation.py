@@ -317,11 +317,3 @@ def circulating(
         return np.zeros(np.shape(age)), np.zeros(np.shape(age))
     own = np.asarray(entries, float), np.asarray(across, float)
     return carried(followed(circuit, *own, seed=seed), circuit, urns, age)
-
-
-def circulating_current(
-    circuit: Circuit, urns: Sequence[Ports], entries: Floats, across: Floats,
-    age: ArrayLike = math.inf,
-) -> Floats:  # fmt: skip
-    """Return the current of `circulating`, without its error."""
-    return circulating(circuit, urns, entries, across, age)[0]
