@@ -53,7 +53,7 @@ def results_of(folder: Path, scan: dict[str, Any], **groups: dict[str, Any]) -> 
     if (kept := KEPT.get(text)) is None:
         done = run("--quiet", "in.nml", folder=folder)
         assert done.returncode == 0, done.stderr
-        if path.is_file():
+        if "file" not in groups.get("output", {}):
             KEPT[text] = path.read_bytes()
     else:
         path.write_bytes(kept)

@@ -73,7 +73,7 @@ ODD: dict[str, dict[str, dict[str, object]]] = {
 WINDOW = "--model=window"  # of the theories of a figure's own choice one takes seconds
 QUICK = [(["mixing"], "*"), (["renewal_fit", "--data"], "*")]
 QUICK += [(["scene"], "one"), (["figures", "comp01"], "one")]
-QUICK += [(["figures", "lifetimes", WINDOW], "map")]
+QUICK += [(["figures", WINDOW, "lifetimes"], "map")]
 SLOW = [["scene"], ["currents"], ["report"], ["compare"]]
 SLOW += [["figures", name] for name in ("numris", "comp01", "comp05", "comp06", "app1", "app2")]
 SLOW += [["figures", name] for name in ("lifetimes", "circuits", "model")]
