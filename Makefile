@@ -284,19 +284,20 @@ libraries: build/stamps/packages$(SUFFIX)
 
 build/stamps/packages$(SUFFIX): packaging/switches build/choices$(SUFFIX)
 	@mkdir -p build/stamps
-	missing=$$(packaging/switches missing apt)
-	if [[ $$(id -u) == 0 ]]; then as_root=; else as_root='sudo -n'; fi
-	if [[ -n "$$missing" ]] && command -v apt-get > /dev/null && $$as_root true 2> /dev/null; then
-	  echo "Installing the packages $$missing"
-	  { $$as_root apt-get update -qq &&
-	    $$as_root env DEBIAN_FRONTEND=noninteractive \
-	      apt-get install -y -qq --no-install-recommends $$missing; } \
-	    > build/stamps/apt.log 2>&1 || tail -n 20 build/stamps/apt.log >&2
+	if ! missing=$$(packaging/switches missing apt); then
+	  if [[ $$(id -u) == 0 ]]; then as_root=; else as_root='sudo -n'; fi
+	  if [[ -n "$$missing" ]] && command -v apt-get > /dev/null && $$as_root true 2> /dev/null; then
+	    echo "Installing the packages $$missing"
+	    { $$as_root apt-get update -qq &&
+	      $$as_root env DEBIAN_FRONTEND=noninteractive \
+	        apt-get install -y -qq --no-install-recommends $$missing; } \
+	      > build/stamps/apt.log 2>&1 || tail -n 20 build/stamps/apt.log >&2
+	  fi
+	  packaging/switches missing >&2 || {
+	    mv -f build/choices$(SUFFIX){.before,} 2> /dev/null || true
+	    exit 1
+	  }
 	fi
-	packaging/switches missing >&2 || {
-	  mv -f build/choices$(SUFFIX){.before,} 2> /dev/null || true
-	  exit 1
-	}
 	rm -f build/choices$(SUFFIX).before
 	touch $@
 

@@ -9,6 +9,7 @@ import argparse
 import ast
 import importlib
 import sys
+from functools import cache
 from pathlib import Path
 
 from postproc import __version__, cli
@@ -62,6 +63,7 @@ def description(found: dict[str, str]) -> str:
     ])  # fmt: skip
 
 
+@cache
 def _tree(path: Path) -> ast.Module:
     return ast.parse(path.read_text(encoding="utf-8"))
 

@@ -9,12 +9,14 @@ import shutil
 import subprocess
 import sys
 import tomllib
+from functools import cache
 from pathlib import Path
 
 import pytest
 from support.program import ENVIRONMENT, PROGRAM, ROOT, make
 
 from postproc import __main__ as command
+from postproc.tests.commands import call as scripted
 
 OUTSIDE = {name: value for name, value in ENVIRONMENT.items() if not name.startswith("BATTERY_")}
 OTHER_NAMES = {"PIL": "pillow"}  # packages that are imported by another name
@@ -61,6 +63,16 @@ def test_the_command_has_every_script() -> None:
                          re.MULTILINE)  # fmt: skip
 
 
+@cache
+def imports(path: Path) -> list[str]:
+    """Return the modules that a file may import: what it names, and each name of theirs."""
+    names = []
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.ImportFrom) and node.module:
+            names += [node.module, *(f"{node.module}.{one.name}" for one in node.names)]
+    return names
+
+
 def reached(module: str) -> set[str]:
     """Return the modules of postproc that one imports, directly or not; itself is one of them."""
     found, left = set(), [module]
@@ -70,9 +82,7 @@ def reached(module: str) -> set[str]:
         if name in found or not path.is_file():
             continue
         found.add(name)
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-            if isinstance(node, ast.ImportFrom) and node.module:
-                left += [node.module, *(f"{node.module}.{one.name}" for one in node.names)]
+        left += imports(path)
     return found
 
 
@@ -86,21 +96,34 @@ def test_what_is_said_to_need_no_program_starts_none() -> None:
             assert not starts, name
 
 
-def test_a_subcommand_does_what_the_script_does() -> None:
-    options = ["theory", "--number", "1000", "--threshold", "7"]
-    one = call(sys.executable, "-m", "postproc", *options)
-    assert one.stdout == call(sys.executable, "-m", "postproc.theory", *options[1:]).stdout
+def test_a_subcommand_does_what_the_script_does(capsys: pytest.CaptureFixture[str]) -> None:
+    options = ["--number", "1000", "--threshold", "7"]
+    one = call(sys.executable, "-m", "postproc", "theory", *options)
+    assert scripted("theory", options) == 0
+    assert one.stdout == capsys.readouterr().out
     assert '"mass_spread"' in one.stdout
 
 
-@pytest.mark.parametrize(
-    "words", [[], ["nosuch"], ["theory", "--number", "x"], ["currents", "no.h5"]]
-)
+@pytest.mark.parametrize("words", [[], ["nosuch"]])
 def test_a_wrong_word_is_one_line(words: list[str]) -> None:
     done = call(sys.executable, "-m", "postproc", *words)
     assert done.returncode == 2
     assert len(done.stderr.splitlines()) == 1
     assert done.stdout == ""
+
+
+@pytest.mark.parametrize("words", [["theory", "--number", "x"], ["currents", "no.h5"]])
+def test_a_wrong_word_of_a_subcommand_is_one_line(
+    words: list[str], capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """In this process, where its libraries are loaded already."""
+    monkeypatch.setattr(sys, "argv", ["postproc", *words])
+    with pytest.raises(SystemExit) as ended:
+        raise SystemExit(command.run())
+    told = capsys.readouterr()
+    assert ended.value.code == 2
+    assert len(told.err.splitlines()) == 1
+    assert told.out == ""
 
 
 def test_the_python_side_names_what_it_imports() -> None:

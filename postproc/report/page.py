@@ -381,8 +381,9 @@ def page(results: Results, models: dict[str, Model]) -> str:
     panels, choices, detail = parts.panels(), parts.choices(), parts.detail()
     document = Document(title=results.path.name)
     roots = [parts.reading] if panels else []
-    for one in (*roots, *choices, *panels, *detail, parts.table()):
-        document.add_root(one)
+    with document.models.freeze():  # or the models of all roots are gathered anew with each root
+        for one in (*roots, *choices, *panels, *detail, parts.table()):
+            document.add_root(one)
     paint = themed([*panels, *parts.series])
     document.js_on_event("document_ready", paint, parts.choose, parts.click)
     remarks = {

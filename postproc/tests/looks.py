@@ -18,7 +18,9 @@ def looks(legend: Legend) -> dict[str, str]:
             "markersize", "linewidth")  # fmt: skip
     return {
         text.get_text(): " ".join(
-            str(part.properties().get(name)) for part in box.get_children() for name in seen
+            str(known.get(name))
+            for known in (part.properties() for part in box.get_children())
+            for name in seen
         )
         for text, box in zip(legend.get_texts(), legend.findobj(DrawingArea), strict=True)
     }

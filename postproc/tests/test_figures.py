@@ -38,7 +38,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
         path = made / f"{name}.h5"
         results_of(path, scan=grid, particles={"urn1_number": first}, output=BARE)
     leave_out(made / "polarised.h5", (2, 0), (11, 0))
-    results_of(made / "point.h5", scan={"threshold": 2, "replicas": 1}, output=BARE)
+    results_of(made / "point.h5", scan={"threshold": 2, "replicas": 1})
     urns = {"number": [500, 1000], "channel1_width": [0.1, 0.3], "threshold": [3, 9, 15]}
     results_of(
         made / "urn.h5", table={"shape": "urn"}, particles={"number": None}, scan=urns, output=BARE
@@ -61,10 +61,14 @@ def lines_of(axes: Axes, dashes: str) -> list[Floats]:
     return [np.array(line) for line in lines if len(line[0])]
 
 
-@pytest.mark.parametrize(("name", "file"), [("model", None), ("comp05", "time.h5")])
+@pytest.mark.parametrize(("name", "file"), [("model", None), ("comp05", "point.h5")])
 def test_a_figure_is_written(
-    name: str, file: str | None, folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+    name: str, file: str | None, folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:  # fmt: skip
+    monkeypatch.setattr(style, "RESOLUTION", 50)
+    # Letters as outlines: a font is cut to its letters where files are written in test_pictures.
+    monkeypatch.setitem(style.SETTINGS, "pdf.fonttype", 3)
     arguments = [name, *([str(folder / file)] if file else []), "--output", str(tmp_path)]
     assert call("figures", arguments) == 0
     written = [tmp_path / f"{name}.png", tmp_path / f"{name}.pdf"]
@@ -87,7 +91,7 @@ def test_model_names_the_lengths_and_shows_particles_of_a_run(folder: Path) -> N
 
 def test_comp05_has_a_panel_a_threshold(folder: Path) -> None:
     with opened([folder / "time.h5"]) as files:
-        made = circuits.figure_comp05(files)
+        made = circuits.figure_comp05(files, models.QUICK[:1])
         means = [
             {name: files[0].series(at, 0).flows[name].mean() for name in currents.FLOW_LOOK}
             for at in range(3)
@@ -119,8 +123,9 @@ def test_an_axis_is_broken_where_nothing_lies_and_all_is_shown() -> None:
 
 def test_comp06_shows_chi_from_one_and_the_stable_states(folder: Path) -> None:
     with opened([folder / "time.h5"]) as files:
-        made = circuits.figure_comp06(files)
-        states = [one.stable_state(files[0].circuit(at)) for at in range(3) for one in models.PAIR]
+        made = circuits.figure_comp06(files, models.QUICK)
+        pairs = [(at, one) for at in range(3) for one in models.QUICK]
+        states = [one.stable_state(files[0].circuit(at)) for at, one in pairs]
         series = files[0].series(1, 0)
     spread, current = made.axes
     assert spread.get_ylabel() == r"mass spread $\chi$"
@@ -132,7 +137,7 @@ def test_comp06_shows_chi_from_one_and_the_stable_states(folder: Path) -> None:
     expected = {state.mass_spread for state in states if state is not None}
     levels = {
         float(y[0])
-        for dashes in ("-", "--")
+        for dashes in (one.dashes for one in models.QUICK)
         for x, y in lines_of(spread, dashes)
         if list(x) == [0, 1]
     }
@@ -142,7 +147,7 @@ def test_comp06_shows_chi_from_one_and_the_stable_states(folder: Path) -> None:
 
 def test_currents_of_a_homogeneous_state_scatter_about_zero(folder: Path) -> None:
     with opened([folder / "time.h5"]) as files:
-        made = circuits.figure_comp06(files)
+        made = circuits.figure_comp06(files, models.QUICK[:1])
         net = files[0].series(2, 0)
     current = made.axes[1]
     full = [line for line in current.lines if line.get_color() == style.BLACK]
@@ -333,15 +338,17 @@ def test_map_has_each_value_in_its_cell(folder: Path) -> None:
     assert maps.edges(np.array([1.0, 2.0, 4.0])) == pytest.approx([0.5, 1.5, 3.0, 5.0])
 
 
+@pytest.mark.usefixtures("unwritten")
 def test_theories_are_drawn_by_name(folder: Path, tmp_path: Path) -> None:
-    with opened([folder / "slices.h5"]) as files:
+    with opened([folder / "point.h5"]) as files:
         made = circuits.figure_comp01(files, models.named(["renewal"]))
     assert labels_of(made)[-1:] == ["theory, renewal gate"]
-    arguments = [str(folder / "slices.h5"), "--output", str(tmp_path)]
+    arguments = [str(folder / "point.h5"), "--output", str(tmp_path)]
     assert call("figures", ["comp01", *arguments, "--model", "window", "renewal"]) == 0
     assert call("figures", ["comp01", *arguments, "--model", "guess"]) == 2
 
 
+@pytest.mark.usefixtures("unwritten")
 def test_single_urn_is_drawn_with_its_end_wall(tmp_path: Path) -> None:
     (axes,) = model.figure_app1([]).axes
     texts = [text.get_text() for text in axes.texts if text.get_text()]

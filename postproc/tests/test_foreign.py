@@ -106,10 +106,17 @@ def replaced(file: h5py.File, name: str, **created: object) -> None:
 
 
 def bomb(file: h5py.File, name: str) -> None:
-    """Store a dataset as a piece that grows to 256 MB when it is read."""
+    """Store a dataset as a piece that grows to 256 MB when it is read.
+
+    One megabyte is deflated, and repeated: its end is made to refer to nothing before it.
+    """
     shape = file[name].shape
     replaced(file, name, shape=shape, dtype="f8", chunks=shape, compression="gzip")
-    file[name].id.write_direct_chunk((0,) * len(shape), zlib.compress(bytes(1 << 28), 9))
+    deflate = zlib.compressobj(9, zlib.DEFLATED, -zlib.MAX_WBITS)
+    part = deflate.compress(bytes(1 << 20)) + deflate.flush(zlib.Z_FULL_FLUSH)
+    check = (((1 << 28) % 65521 << 16) | 1).to_bytes(4, "big")  # Adler's, of zeros
+    piece = b"\x78\xda" + 256 * part + deflate.flush() + check
+    file[name].id.write_direct_chunk((0,) * len(shape), piece)
 
 
 def stored(file: h5py.File, name: str, piece: bytes, left_out: int = 0) -> None:

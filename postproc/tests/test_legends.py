@@ -42,7 +42,7 @@ DRAWN = {
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     made = tmp_path_factory.mktemp("legends")
-    scan = {"threshold": [7, 12], "replicas": 1}
+    scan = {"threshold": [4, 5], "replicas": 1}
     results_of(made / "circuit.h5", run=SHORT, scan={"channel2_width": [0.01, 0.03], **scan},
                output={"series_interval": 10.0})  # fmt: skip
     results_of(made / "urn.h5", table={"shape": "urn"}, particles={"number": None}, run=SHORT,

@@ -16,9 +16,8 @@ import pytest
 from matplotlib.patches import Circle
 
 from postproc.cli import InputError
-from postproc.figures import currents, film, models, scene
+from postproc.figures import currents, film, models, scene, style
 from postproc.figures.scene import figure_scene
-from postproc.figures.style import VERMILION
 from postproc.reading.results import Results, Snapshot, mean_and_error
 from postproc.tests.commands import call
 from postproc.tests.runs import BARE, edited, leave_out, results_of
@@ -43,14 +42,20 @@ def run_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.parametrize("command", ["currents", "scene"])
 def test_pictures_are_written(command: str, run_file: Path, tmp_path: Path) -> None:
     folder = tmp_path / "new" / "folder"
-    assert call(command, [str(run_file), "--output", str(folder)]) == 0
+    models = ["--model", "window", "renewal"] if command == "currents" else []
+    assert call(command, [str(run_file), *models, "--output", str(folder)]) == 0
     assert sorted(path.name for path in folder.iterdir()) == [f"{command}.pdf", f"{command}.png"]
-    assert {path.read_bytes()[:5] for path in folder.iterdir()} == {b"\x89PNG\r", b"%PDF-"}
+    drawn, paper = ((folder / f"{command}.{kind}").read_bytes() for kind in ("png", "pdf"))
+    assert drawn[:5] == b"\x89PNG\r"
+    assert paper[:5] == b"%PDF-"
+    assert b"/FontFile2" in paper  # its text is text
+    width = int.from_bytes(drawn[16:20], "big")
+    assert width == style.PAGE * style.RESOLUTION
 
 
 def test_currents_show_the_series_the_theory_and_eta(run_file: Path) -> None:
     with Results(run_file) as results:
-        made = currents.figure_currents(results, 0, 1)
+        made = currents.figure_currents(results, 0, 1, models.QUICK)
         series, circuit = results.series(0, 1), results.circuit(0)
     *panels, balance = made.axes
     assert panels[0].get_title("left") == "$N = 1000$, $T = 7$, $w = 0.3$, $w' = 0.01$"
@@ -83,7 +88,7 @@ def test_currents_show_the_series_the_theory_and_eta(run_file: Path) -> None:
     share, flow = curves[0]
     assert flow == pytest.approx(eta(circuit, 1000.0 * share))
     reached = currents.settled_number2(circuit, series) / 1000.0
-    marked = [line for line in balance.lines if line.get_markeredgecolor() == VERMILION]
+    marked = [line for line in balance.lines if line.get_markeredgecolor() == style.VERMILION]
     assert reached in [line.get_xdata()[0] for line in marked if len(line.get_xdata())]
 
 
@@ -197,6 +202,7 @@ def test_a_circuit_is_read_from_values_not_from_the_namelist(tmp_path: Path) -> 
         assert results.circuit(0) == Circuit(1000, 7, **table)
 
 
+@pytest.mark.usefixtures("unwritten")
 def test_scatterers_are_drawn_and_no_theory_is_asked(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -258,11 +264,13 @@ def test_folder_that_cannot_be_written(
     assert capsys.readouterr().err.count("\n") == 1
 
 
+@pytest.mark.usefixtures("unwritten")
 def test_a_partial_run_is_drawn_and_says_so(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = leave_out(results_of(tmp_path / "part.h5", scan={"threshold": [7, 18]}), (1, 1))
-    assert call("currents", [str(path), "--output", str(tmp_path)]) == 0
+    words = ["--model", "window", "--output", str(tmp_path)]
+    assert call("currents", [str(path), *words]) == 0
     assert "partial run: 3 of 4 tasks" in capsys.readouterr().err
     with Results(path) as results:
         mean, error = results.replica_mean("chi")
@@ -271,6 +279,7 @@ def test_a_partial_run_is_drawn_and_says_so(
         assert np.isnan(error[1]) or error[1] > 0.0
 
 
+@pytest.mark.usefixtures("unwritten")
 def test_of_a_partial_run_a_task_that_is_done_is_drawn(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -302,6 +311,7 @@ def unlike_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
     )  # fmt: skip
 
 
+@pytest.mark.usefixtures("unwritten")
 def test_unlike_sides_are_drawn_as_they_are(unlike_file: Path, tmp_path: Path) -> None:
     film_of = ["film", "--gif", "--seconds", "0.2"]
     for command in (["currents"], film_of, ["report"], ["figures", "model"]):
