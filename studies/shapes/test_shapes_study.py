@@ -17,6 +17,8 @@ from studies.shapes import study as shapes
 if TYPE_CHECKING:
     from pathlib import Path
 
+pytestmark = pytest.mark.usefixtures("theory_in_process")  # before `made`, as that is requested
+
 
 def test_all_urns_have_the_area_of_the_disc() -> None:
     area = Circuit(channel2_width=0.05).urn_area
