@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -35,14 +36,14 @@ class Circuit:
     channel2_width: float = 0.01
     channel2_length: float = 1.0
 
-    @property
+    @cached_property
     def chords(self) -> tuple[float, float]:
         """Distances of the openings' chords from the centre of an urn."""
         widths = self.channel1_width, self.channel2_width
         first, second = (math.sqrt(self.urn_radius**2 - 0.25 * width**2) for width in widths)
         return first, second
 
-    @property
+    @cached_property
     def urn_area(self) -> float:
         """Area A of an urn, up to the chords."""
         area, halves = math.pi * self.urn_radius**2, (self.channel1_width, self.channel2_width)

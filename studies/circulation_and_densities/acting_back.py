@@ -19,6 +19,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -31,6 +32,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from postproc.theory.circuit import Circuit
+    from postproc.theory.states import State
 
     Floats = NDArray[np.float64]
 
@@ -152,10 +154,15 @@ class Balance:
         raise ArithmeticError("no state with circulation near the one without")
 
 
+@lru_cache(maxsize=16)
+def most_polarised(circuit: Circuit) -> State:
+    """Return the most polarised stable state of `two_port`, of a circuit as that takes it."""
+    return max(MODELS["two_port"].solve_stable(circuit), key=lambda one: one.mass_spread)
+
+
 def polarised(circuit: Circuit) -> float:
     """Return the `first` of the most polarised stable state of `two_port`."""
-    states = MODELS["two_port"].solve_stable(circuit)
-    number2 = max(states, key=lambda one: one.mass_spread).urn2_number
+    number2 = most_polarised(circuit).urn2_number
     number, balance = float(circuit.number), Balance(circuit, NOTHING)
 
     def excess(first: float) -> float:

@@ -22,7 +22,7 @@ from postproc.figures import style
 from postproc.theory import circulation, direction, ports, two_port
 from postproc.theory.circuit import Circuit
 from postproc.theory.models import MODELS
-from studies.circulation_and_densities.acting_back import solved
+from studies.circulation_and_densities.acting_back import most_polarised, solved
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -91,9 +91,8 @@ def predicted(case: Case, age: float, draws: int) -> Row:
         abs(held.net_current + float(direction.around(circuit, held, age, seed=seed)[0]))
         for seed in seeds
     ]
-    model = MODELS["two_port"]
-    circuit = model.of(case.circuit)
-    state = max(model.solve_stable(circuit), key=lambda one: one.mass_spread)
+    circuit = MODELS["two_port"].of(case.circuit)
+    state = most_polarised(circuit)
     straight = two_port.straight_at(circuit, state.urn2_number)
     rest, urns = state.net_current - state.circulating_current, [*map(ports.disc, circuit.sides)]
     without, acting = solved(case.circuit, age, draws)

@@ -183,8 +183,9 @@ class Table(Circuit):
         first, second = self.chords
         far = 0.5 * self.channel1_length + first + second + 0.5 * self.channel2_length
         starts: list[Start] = []
+        drawn = random.random  # as `uniform` draws, which takes longer for a single number
         while len(starts) < number:
-            x, y = random.uniform(-far, far), random.uniform(-1.0, 1.0)
+            x, y = 2.0 * far * drawn() - far, 2.0 * drawn() - 1.0
             inner = abs(x) - 0.5 * self.channel1_length - first
             if inner < -first:
                 within = abs(y) < 0.5 * self.channel1_width
@@ -193,7 +194,7 @@ class Table(Circuit):
             else:
                 within = inner**2 + y**2 < 1.0
             if within:
-                angle = random.uniform(0.0, 2.0 * math.pi)
+                angle = 2.0 * math.pi * drawn()
                 starts.append(self.start(x, y, math.cos(angle), math.sin(angle)))
         return starts
 

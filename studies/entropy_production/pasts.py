@@ -16,6 +16,7 @@ some are selected at random.
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 from itertools import combinations
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -94,6 +95,8 @@ class Tree:
         self, table: Table, threshold: int, history: History | None = None, time: float = 0.0
     ) -> None:
         self.table, self.threshold, self.history, self.time = table, threshold, history, time
+        # branches, and numbers of the same state, ask for the same ones again and again
+        self.excursion = lru_cache(maxsize=2**14)(table.excursion)
 
     def pasts(self, present: Sequence[Backward], depth: float) -> list[list[Backward]]:
         """Return all pasts of a state at a depth; that of the history, if known, is the first."""
@@ -144,20 +147,18 @@ class Tree:
     def _before(self, past: list[Backward], first: int) -> list[list[Backward]]:
         """Return what may have been before something happens to a particle, what was first."""
         one, gate = past[first], past[first].ray.side
-        counted = sum(other.status == COUNTED and other.ray.side == gate for other in past)
         if one.status == COUNTED:
             return [_with(past, {first: self._gone(first, one)})]
         if one.status == OUTWARD:
             before = _with(past, {first: self._through(first, one)})
-            now_counted = sum(
-                other.status == COUNTED and other.ray.side != gate for other in before
-            )
+            now_counted = len([at for at, other in enumerate(before)
+                               if other.status == COUNTED and other.ray.side != gate])  # fmt: skip
             return [before] * (now_counted <= self.threshold)
         flight = self._with_known(first, one, fired=False)
         half = 0.5 * self.table.channel1_length / one.ray.axial
         flight = flight._replace(status=OUTWARD, until=one.until + half, since=one.until)
         branches = [_with(past, {first: flight})]
-        if counted:
+        if any(other.status == COUNTED and other.ray.side == gate for other in past):
             return branches
         others = [at for at, other in enumerate(past)
                   if other.status == OUTWARD and other.ray.side == gate]  # fmt: skip
@@ -182,7 +183,7 @@ class Tree:
         if one.known > 0:
             did = self.history.passes[particle][one.known - 1]
             return Backward(AWAY, self.time - did.left, 0.0, _back(did.exit), one.known - 1)
-        away, back = self.table.excursion(one.ray)
+        away, back = self.excursion(one.ray)
         return Backward(AWAY, one.until + away, 0.0, back)
 
     def _through(self, particle: int, one: Backward) -> Backward:

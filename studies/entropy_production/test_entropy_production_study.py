@@ -26,17 +26,16 @@ def _gates(
     threshold: int, entries: list[tuple[float, int, float]]
 ) -> list[tuple[float, int, float]]:
     """Return what the rule makes of entries (time, gate, half): (left, gate, turned) of each."""
-    counted: dict[int, dict[int, float]] = {1: {}, 2: {}}
+    counted: list[list[tuple[float, float, int]]] = [[], [], []]  # until, since, which
     ends: list[tuple[float, int, float]] = [(0.0, 0, 0.0)] * len(entries)
-    for at in sorted(range(len(entries)), key=lambda one: entries[one][0]):
-        time, gate, half = entries[at]
-        inside = {one: end for one, end in counted[gate].items() if end > time}
-        counted[gate] = {**inside, at: time + half}
+    for (time, gate, half), at in sorted(zip(entries, range(len(entries)), strict=True)):
+        inside = [one for one in counted[gate] if one[0] > time]
+        counted[gate] = [*inside, (time + half, time, at)]
         ends[at] = (time + 2.0 * half, 3 - gate, math.inf)
         if len(inside) == threshold:
-            for one in counted[gate]:
-                ends[one] = (2.0 * time - entries[one][0], gate, time)
-            counted[gate] = {}
+            for _, since, one in counted[gate]:
+                ends[one] = (2.0 * time - since, gate, time)
+            counted[gate] = []
     return ends
 
 
@@ -65,20 +64,22 @@ def _weight_of_all(threshold: int, passes: list[Pass], rates: tuple[float, float
         own += [(2.0 * other.left - one.left, side) for other in passes
                 if other.exit.side == side and 0.0 <= one.left - other.left < one.half]  # fmt: skip
         ways.append(own)
-    total = 0.0
+    total, seen = 0.0, [(one.left, one.exit.side) for one in passes]
+    halves = [one.half for one in passes]
     for chosen in product(*ways):
-        entries = [(time, gate, one.half) for (time, gate), one in zip(chosen, passes, strict=True)]
+        entries = [(*one, half) for one, half in zip(chosen, halves, strict=True)]
         ends = _gates(threshold, entries)
-        if all(math.isclose(end, one.left, abs_tol=1e-9) and gate == one.exit.side
-               for (end, gate, _), one in zip(ends, passes, strict=True)):  # fmt: skip
+        if all(gate == side and math.isclose(end, left, abs_tol=1e-9)
+               for (end, gate, _), (left, side) in zip(ends, seen, strict=True)):  # fmt: skip
             total += math.prod(rates[gate - 1] for _, gate in chosen)
     return total / math.prod(rates[one.entry.side - 1] for one in passes)
 
 
-@pytest.mark.parametrize("threshold", [1, 2, 3])
-def test_weight_of_all_pasts_is_that_of_a_brute_force(threshold: int) -> None:
+# the time of a brute force is that of all its ways, of which there are more at larger thresholds
+@pytest.mark.parametrize(("threshold", "draws"), [(1, 100), (2, 60), (3, 40)])
+def test_weight_of_all_pasts_is_that_of_a_brute_force(threshold: int, draws: int) -> None:
     random, several = np.random.default_rng(threshold), 0
-    for _ in range(100):
+    for _ in range(draws):
         passes = _drawn(random, 3 + threshold, threshold)
         rates = (1.0, 3.0)
         channel = Channel(passes, threshold, rates)
@@ -126,7 +127,7 @@ def test_number_of_selected_pasts_has_the_mean_of_the_number_of_all() -> None:
             break
     present, ages = tree.history.state(depth), np.linspace(0.5, depth, 24)
     assert tree.number(present, ages, 10**6, random)[-1] == len(pasts)
-    found = np.array([tree.number(present, ages, 5, random)[-1] for _ in range(400)])
+    found = np.array([tree.number(present, ages, 5, random)[-1] for _ in range(250)])
     assert found.std() > 0.0
     assert found.mean() == pytest.approx(len(pasts), abs=4.0 * found.std() / math.sqrt(found.size))
 
@@ -195,7 +196,7 @@ def test_mean_number_of_pasts_over_all_states_is_1(
     random, tree = np.random.default_rng(3), Tree(TABLE, threshold)
     found = np.array([
         len(tree.pasts(entropy.drawn_present(random, number, threshold), depth))
-        for _ in range(1000)
+        for _ in range(500)
     ])  # fmt: skip
     assert found.max() > 2
     assert abs(found.mean() - 1.0) < 5.0 * found.std() / math.sqrt(found.size)

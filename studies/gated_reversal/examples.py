@@ -17,7 +17,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from postproc import study
-    from postproc.study.study import Groups
 
     Floats = NDArray[np.float64]
 
@@ -39,43 +38,43 @@ def final_state(path: Path) -> list[Floats]:
     return [end[name].to_numpy() for name in ("x", "y", "ux", "uy")]
 
 
-def forth_and_back(
-    work: study.Study, name: str, changes: Groups, columns: Sequence[Floats]
-) -> list[Path]:
-    """Run from a state, reverse all velocities, run as long again; return both results files."""
-    files = []
-    for way in ("forth", "back"):
-        state = states_file(work.folder / f"{name}_{way}.txt", columns)
-        own = {**changes, "particles": {**changes["particles"], "initial_file": state}}
-        files.append(work.run("reversal", f"{name}_{way}", own, alone=True))
-        x, y, ux, uy = final_state(files[-1])
-        columns = (x, y, -ux, -uy)
-    return files
+def flown(
+    work: study.Study, name: str, columns: Sequence[Floats], duration: float
+) -> tuple[Path, list[Floats]]:
+    """Run a few particles from a state; return the results file and the final state."""
+    state = states_file(work.folder / f"{name}.txt", columns)
+    changes = {
+        "particles": {"number": len(columns[0]), "urn1_number": None, "initial_file": state},
+        "gate": {"threshold": 1},
+        "run": {"duration": duration},
+    }
+    file = work.run("reversal", name, changes, alone=True)
+    return file, final_state(file)
 
 
 def example(
-    work: study.Study, name: str, states: Sequence[Sequence[float]], turn: float = EXAMPLE_TIME
-) -> dict[str, object]:
-    """Run a few particles forwards and back; return the events as rows, and the final states."""
-    changes = {
-        "particles": {"number": len(states), "urn1_number": None},
-        "gate": {"threshold": 1},
-        "run": {"duration": turn},
-    }
-    columns = np.array(states).T
-    events = {"turn": turn}
-    for way, file in zip(
-        ("forth", "back"), forth_and_back(work, name, changes, columns), strict=True
-    ):
-        log, end = read_log(file), final_state(file)
+    work: study.Study, name: str, states: Sequence[Sequence[float]], turn: float = EXAMPLE_TIME,
+    ways: Sequence[str] = ("forth", "back"),
+) -> dict[str, object]:  # fmt: skip
+    """Run a few particles forwards and back; return the events as rows, and the final states.
+
+    Back: from the end with all velocities reversed, as long again. Without it in `ways` only forth.
+    """
+    start = np.array(states)
+    columns, events = list(start.T), {"turn": turn}
+    for way in ways:
+        file, (x, y, ux, uy) = flown(work, f"{name}_{way}", columns, turn)
+        log = read_log(file)
         events[way] = [
             (time, words(kind, where, particle))
             for time, kind, where, particle in zip(
                 log.time, log.kind, log.where, log.particle, strict=True
             )
         ]
-        events[f"{way}_end"] = np.column_stack(end)
-    start = np.array(states)
+        events[f"{way}_end"] = np.column_stack([x, y, ux, uy])
+        columns = [x, y, -ux, -uy]
+    if "back" not in events:
+        return events
     events["returns_within"] = float(np.abs(events["back_end"][:, :2] - start[:, :2]).max())
     return events
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from postproc.figures import style
 from postproc.study.text import number
-from studies.gated_reversal.examples import example
+from studies.gated_reversal.examples import example, flown
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -86,12 +86,13 @@ def nearby(work: study.Study, tries: int) -> dict[str, object]:
     random, worst, apart = np.random.default_rng(6), 0.0, 0.0
     for at in range(tries):
         start = np.array(PASTS[0]) + random.uniform(-NEARBY, NEARBY, (3, 4))
-        one = np.array(example(work, f"nearby_{at}_one", start, PAST_TIME)["forth_end"])
-        other = example(work, f"nearby_{at}_other", other_past(one), PAST_TIME)
-        worst = max(worst, float(np.abs(one - np.array(other["forth_end"])).max()))
+        one = np.column_stack(flown(work, f"nearby_{at}_one", start.T, PAST_TIME)[1])
+        past = other_past(one).T
+        other = np.column_stack(flown(work, f"nearby_{at}_other", past, PAST_TIME)[1])
+        worst = max(worst, float(np.abs(one - other).max()))
         speed = np.hypot(*start[:, 2:].T)[:, None]  # particles of the program have the speed 1
-        flown = present(np.column_stack([start[:, :2], start[:, 2:] / speed]), 0)
-        apart = max(apart, float(np.abs(one - flown).max()))
+        by_hand = present(np.column_stack([start[:, :2], start[:, 2:] / speed]), 0)
+        apart = max(apart, float(np.abs(one - by_hand).max()))
     return {"tries": tries, "within": NEARBY, "differ_by": worst, "by_hand_differ_by": apart}
 
 

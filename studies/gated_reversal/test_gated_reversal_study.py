@@ -85,7 +85,7 @@ def test_example_that_is_undone_and_one_that_is_not(tmp_path: Path) -> None:
 def test_two_pasts_have_one_present(tmp_path: Path) -> None:
     work = Study(tmp_path, HERE)
     histories = [
-        examples.example(work, f"past{at}", past, pasts.PAST_TIME)
+        examples.example(work, f"past{at}", past, pasts.PAST_TIME, ["forth"])
         for at, past in enumerate(pasts.PASTS)
     ]
     ends = [np.array(one["forth_end"]) for one in histories]
@@ -144,6 +144,7 @@ def test_reversals_of_one_run_count_as_one_in_the_error() -> None:
     assert math.isnan(gated.share_of([1, 0], [3, 0])[1])
 
 
+@pytest.mark.usefixtures("theory_in_process")
 def test_run_backwards_parts_where_the_log_says(tmp_path: Path) -> None:
     found = gated._backwards(Study(tmp_path, HERE), 100, 1, 12.0, turns=3)
     assert found["parting_as_told"] == found["turns"] == 3

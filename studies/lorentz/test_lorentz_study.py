@@ -8,6 +8,7 @@ from itertools import combinations, pairwise
 from typing import TYPE_CHECKING
 
 import f90nml
+import h5py
 import numpy as np
 import pytest
 
@@ -25,19 +26,20 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, lore
     folder = tmp_path_factory.mktemp("lorentz")
     with pytest.MonkeyPatch.context() as patch:
         for name, values in (
-            ("RADII", (0.0, 0.02)), ("COLUMNS", (0, 2)), ("WIDTHS", (0.03, 0.06)),
-            ("THRESHOLDS", (7, 9)), ("FREE_RADII", (0.0, 0.02)), ("CLOSE", {200: (0.015, 0.03)}),
+            ("RADII", (0.0, 0.02)), ("COLUMNS", (2,)), ("WIDTHS", (0.03, 0.06)),
+            ("THRESHOLDS", (7, 9)), ("FREE_RADII", (0.02,)), ("CLOSE", {200: (0.015, 0.03)}),
         ):  # fmt: skip
             patch.setattr(lorentz, name, values)
         work = Study(folder, ranks=1)
-        found = lorentz.measure(work, 2, 20.0)
+        found = lorentz.measure(work, 2, 10.0)
         lorentz.tables(work, found)
     return folder, found
 
 
 def discs_of(folder: Path, name: str) -> int:
     """Return the number of discs of a run, from its results."""
-    groups = f90nml.reads(postproc.open_results(folder / f"{name}.h5").attrs["namelist"])
+    with h5py.File(folder / f"{name}.h5") as file:
+        groups = f90nml.reads(file.attrs["namelist"])
     return len(groups["table"].get("scatterers", [])) // 3
 
 
@@ -58,6 +60,8 @@ def test_without_memory_two_conductors_scatter_by_the_weaker() -> None:
     area = math.pi - 2.0 * (0.5 * math.asin(0.15) + 0.5 * math.asin(0.1))  # without segments
     equal = lorentz.nyquist([{"radius": 0.02, "conductance": 1.5}], 0.02)
     assert equal == pytest.approx(0.15 / (math.pi * area), rel=0.1)
+    free = lorentz.nyquist([], 0.0)  # 0.3 and 0.2 instead of 0.3 twice
+    assert free == pytest.approx(equal * 0.12 / 0.15)
     weak = lorentz.nyquist([{"radius": 0.02, "conductance": 1e-3}], 0.02)
     assert weak == pytest.approx(equal * 2e-3 / 1.5, rel=1e-2)
 

@@ -175,17 +175,19 @@ def _key(run: Row) -> Key:
     return run["circuit"], run["N"], run["w'"]
 
 
-def _cumulant(sums: Floats) -> float:
-    """Return Binder's cumulant of sums of <m^2>, <m^4> and 1 over runs."""
-    second, fourth = sums[:2] / sums[2]
-    return float(1.0 - fourth / (3.0 * second**2))
+def _cumulant(sums: Floats) -> Floats:
+    """Return Binder's cumulant of sums of <m^2>, <m^4> and 1 over runs, shape (sample, 3)."""
+    second, fourth = (sums[:, :2] / sums[:, 2:]).T
+    return 1.0 - fourth / (3.0 * second**2)
 
 
 def widths_of(found: list[Row]) -> list[Row]:
     """Return one line for each circuit, N and w' of runs.csv, and their errors over runs."""
     table: list[Row] = []
-    for key in dict.fromkeys(_key(one) for one in found):
-        own, (name, number, width) = [one for one in found if _key(one) == key], key
+    by_key: dict[Key, list[Row]] = {}
+    for one in found:
+        by_key.setdefault(_key(one), []).append(one)
+    for (name, number, width), own in by_key.items():
         row: Row = {"circuit": name, "T": own[0]["T"], "N": number, "l": own[0]["l"], "w'": width}
         for share, label in zip(STARTS, ("equal", "full"), strict=True):
             mine = [one for one in own if one["start"] == share]
@@ -230,7 +232,9 @@ def sizes_of(found: list[Row], table: list[Row], predicted: list[Row]) -> list[R
                 for at in width
             ])  # fmt: skip
             half = samples.bootstrap(
-                lambda one, width=width: samples.equal_weight(width, one),
+                lambda sums, width=width: np.array(
+                    [samples.equal_weight(width, one) for one in sums]
+                ),
                 counts.transpose(1, 0, 2),
             )
             modes = [samples.upper_mode(one.sum(axis=0)) for one in counts]

@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -116,6 +117,7 @@ def conductance(width2: float) -> float:
     return one.across / (1.0 + one.return_chance - 2.0 * one.across)
 
 
+@lru_cache(maxsize=64)
 def width_of(k: float) -> float:
     """Return w' of a channel 2 that has k with two ports; NaN below 0."""
     if not k > 0.0:

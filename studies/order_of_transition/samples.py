@@ -32,20 +32,26 @@ def histogram(spread: Floats) -> Floats:
     return np.histogram(np.abs(spread) + EDGE, BINS)[0].astype(float)
 
 
+def _depth(counts: Floats) -> Floats:
+    """Return how far below the lower of the modes at either side the log of each bin is."""
+    filled = np.maximum(counts, 0.5)
+    left = np.maximum.accumulate(filled, axis=-1)
+    right = np.maximum.accumulate(filled[..., ::-1], axis=-1)[..., ::-1]
+    return np.log(np.minimum(left, right) / filled)
+
+
 def minimum(counts: Floats) -> tuple[int, float]:
     """Return the bin of the deepest minimum between two modes, and its depth as in `barrier`."""
-    filled = np.maximum(counts, 0.5)
-    left, right = np.maximum.accumulate(filled), np.maximum.accumulate(filled[::-1])[::-1]
-    depth = np.log(np.minimum(left, right) / filled)
+    depth = _depth(counts)
     return int(depth.argmax()), float(depth.max())
 
 
-def barrier(counts: Floats) -> float:
+def barrier(counts: Floats) -> Floats:
     """Return the log of the deepest minimum between two modes, below the lower mode; 0: one mode.
 
-    A bin that nobody visited counts half.
+    A bin that nobody visited counts half. Of histograms of shape (..., bin).
     """
-    return minimum(counts)[1]
+    return _depth(counts).max(axis=-1)
 
 
 def cumulant(spread: Floats) -> float:
@@ -110,19 +116,19 @@ class Bootstrap:
     bias: float
 
 
-def bootstrap(function: Callable[[Floats], float], runs: Floats, seed: int = 1) -> Bootstrap:
+def bootstrap(function: Callable[[Floats], Floats], runs: Floats, seed: int = 1) -> Bootstrap:
     """Return a function of the sum over runs, and its error by drawing runs with repetition.
 
     Parameters
     ----------
-    function : of an array as one run has it.
+    function : of arrays as one run has it, shape (sample, ...), for all samples at once.
     runs : shape (run, ...).
     seed : of the drawing.
     """
     drawn = np.random.default_rng(seed).integers(0, len(runs), (RESAMPLES, len(runs)))
-    found = np.array([function(runs[own].sum(axis=0)) for own in drawn])
+    found = function(runs[drawn].sum(axis=1))
     found = found[np.isfinite(found)]
-    value = float(function(runs.sum(axis=0)))
+    value = float(function(runs.sum(axis=0, keepdims=True))[0])
     if not found.size or math.isnan(value):
         return Bootstrap(value, math.nan, math.nan)
     return Bootstrap(value, float(found.std()), float(found.mean() - value))

@@ -143,7 +143,9 @@ def rows_of(
             both = (chi.min(axis=1) < LOW) & (chi.max(axis=1) > HIGH)
             crossed += int(both.sum())
         row["cumulant"], row["cumulant_error"] = jackknife(cumulant, runs)
-        row["barrier"], row["barrier_error"] = jackknife(lambda one: barrier(histogram(one)), runs)
+        row["barrier"], row["barrier_error"] = jackknife(
+            lambda one: float(barrier(histogram(one))), runs
+        )
         row["crossed"], row["runs"] = crossed, len(runs)
         row["counts"] = histogram(np.concatenate(runs))
         rows.append(row)

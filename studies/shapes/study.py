@@ -35,6 +35,8 @@ WIDTH = 0.01  # of channel 2
 THRESHOLDS = (1, 2, 3, 5, 7, 9, 11, 13, 15, 17, 20, 24)
 PASSAGES = (0.01, 0.05)  # widths of channel 2 at which returns are counted
 LAGS = (1, 2, 5, 10, 20, 40, 80)  # visits
+# share of urn 1 at the start, and transients in units of the duration
+KINDS = {"states": (1.0, 2.0), "shorter": (1.0, 1.0), "equal": (0.5, 2.0)}
 DISC, SQUARE, REGULAR, IRRATIONAL = "disc", "square", "regular hexagon", "crooked hexagon"
 # Slopes of its sides are fractions other than 0, 1 and -1, so all angles are irrational parts of pi
 CROOKED = (
@@ -142,12 +144,11 @@ def measure(work: study.Study, replicas: int, duration: float) -> Found:
     runs = Runs(work, replicas, duration)
     return {
         "well mixed": {"renewal": well_mixed(work)},
-        "states": {shape: runs.states(shape, 1.0, 2.0) for shape in LOOKS},
-        "shorter": {shape: runs.states(shape, 1.0, 1.0) for shape in LOOKS},
-        "equal": {shape: runs.states(shape, 0.5, 2.0) for shape in LOOKS},
+        **{kind: {shape: runs.states(shape, *start) for shape in LOOKS}
+           for kind, start in KINDS.items()},
         "returns": {shape: runs.returns(shape) for shape in LOOKS},
         "directions": {shape: runs.directions(shape) for shape in LOOKS},
-    }
+    }  # fmt: skip
 
 
 def well_mixed(work: study.Study) -> Rows:
@@ -206,8 +207,7 @@ def _number(row: Row, name: str, digits: int) -> str:
 def write_tables(work: study.Study, found: Found) -> None:
     """Write the tables of the page: names, and those of the transients and starts beside them."""
     mixed = {row["threshold"]: row for row in found["well mixed"]["renewal"]}
-    kinds, names = ("states", "shorter", "equal"), ("chi", "polarised_current")
-    for kind, name in itertools.product(kinds, names):
+    for kind, name in itertools.product(KINDS, ("chi", "polarised_current")):
         title = "chi" if name == "chi" else "net current"
         work.table(f"{kind}_{name}", ["T", f"{title}, {DISC}", *list(LOOKS)[1:], "well mixed"], [
             [f"{rows[0]['threshold']:g}", *(_number(row, name, 3) for row in rows),

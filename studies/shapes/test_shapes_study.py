@@ -5,17 +5,21 @@ from __future__ import annotations
 import csv
 from fractions import Fraction
 from itertools import combinations
+from types import SimpleNamespace
 from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
 
 from postproc.study import Study
-from studies.event_log import Circuit, entries_of, particle_events, read_log
+from studies import event_log
+from studies.event_log import Circuit
 from studies.shapes import study as shapes
 
 if TYPE_CHECKING:
     from pathlib import Path
+
+pytestmark = pytest.mark.usefixtures("theory_in_process")  # before `made`, as that is requested
 
 
 def test_all_urns_have_the_area_of_the_disc() -> None:
@@ -44,38 +48,43 @@ def test_crooked_hexagon_is_convex_with_irrational_angles() -> None:
         assert along != 0
 
 
+Entries = list[tuple[np.ndarray, np.ndarray, np.ndarray]]  # by shape, of `entries_of`
+
+
 @pytest.fixture(scope="module")
-def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, shapes.Found]:
-    """Make tiny runs of all kinds; return their folder and results."""
-    folder = tmp_path_factory.mktemp("shapes")
+def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, shapes.Found, Entries]:
+    """Make tiny runs of all kinds; return their folder, results, and the entries they have seen."""
+    folder, seen = tmp_path_factory.mktemp("shapes"), []
+
+    def entries_of(events: event_log.ParticleEvents) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        seen.append(event_log.entries_of(events))
+        return seen[-1]
+
     with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(shapes, "event_log", SimpleNamespace(**vars(event_log)))
+        patch.setattr(shapes.event_log, "entries_of", entries_of)
         patch.setattr(shapes, "THRESHOLDS", (7,))
         patch.setattr(shapes, "PASSAGES", (0.05,))
         patch.setattr(shapes, "LAGS", (1, 2))
+        patch.setattr(shapes, "MANY", 1000)
+        for kind in ("shorter", "equal"):  # as "states", but for a number
+            patch.delitem(shapes.KINDS, kind)
         work = Study(folder, ranks=1)
         found = shapes.measure(work, 2, 20.0)
         shapes.write_tables(work, found)
-    return folder, found
+    return folder, found, seen
 
 
-def cosines(folder: Path, shape: str) -> tuple[np.ndarray, np.ndarray]:
-    """Return particle and cos(theta) of entries of the run that follows directions."""
-    path = folder / f"directions_{shape.replace(' ', '_')}.h5"
-    _, particle, cosine = entries_of(particle_events(read_log(path)))
-    return particle, cosine
-
-
-def test_only_a_square_keeps_the_direction(made: tuple[Path, shapes.Found]) -> None:
-    for shape in shapes.LOOKS:
-        particle, cosine = cosines(made[0], shape)
+def test_only_a_square_keeps_the_direction(made: tuple[Path, shapes.Found, Entries]) -> None:
+    for shape, (_, particle, cosine) in zip(shapes.LOOKS, made[2], strict=True):
         again = particle[1:] == particle[:-1]
         change = np.abs(np.diff(cosine))[again]
         assert change.size > 100
         assert (change.max() < 1e-6) == (shape == shapes.SQUARE)
 
 
-def test_picture_shows_every_shape(made: tuple[Path, shapes.Found]) -> None:
-    _, found = made
+def test_picture_shows_every_shape(made: tuple[Path, shapes.Found, Entries]) -> None:
+    _, found, _ = made
     spread, current, memory, back = shapes.figure(found).axes
     labels = [axes.get_ylabel() for axes in (spread, current)]
     assert labels == [r"$\chi$", "net current (per unit time)"]
@@ -89,8 +98,8 @@ def test_picture_shows_every_shape(made: tuple[Path, shapes.Found]) -> None:
     assert min(drawn) > 0.5
 
 
-def test_tables_have_every_shape(made: tuple[Path, shapes.Found]) -> None:
-    folder, found = made
+def test_tables_have_every_shape(made: tuple[Path, shapes.Found, Entries]) -> None:
+    folder, found, _ = made
     with (folder / "states_chi.csv").open() as file:
         (row,) = csv.DictReader(file)
     assert list(row) == ["T", "chi, disc", "square", "regular hexagon", "crooked hexagon",
