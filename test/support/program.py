@@ -188,12 +188,36 @@ def send(numbers: list[int], what: signal.Signals) -> None:
             continue
 
 
+def hold(numbers: list[int], seconds: float = 0.2) -> None:
+    """Hold ranks back for longer than they compute between two looks at what is due.
+
+    When they go on, a state is saved at once, however short the tasks are.
+    """
+    send(numbers, signal.SIGSTOP)
+    time.sleep(seconds)
+    send(numbers, signal.SIGCONT)
+
+
+def processor_seconds(numbers: list[int]) -> float:
+    """Sum the processor time that processes have used; those that are gone count for nothing."""
+    used = [words_of(Path(f"/proc/{number}/schedstat")) for number in numbers]
+    return sum(int(words[0]) for words in used if words) / 1e9
+
+
 def hears(process: subprocess.Popen[str], what: signal.Signals) -> bool:
     """Tell whether a process that was started without mpirun catches a signal yet."""
-    words = words_of(Path(f"/proc/{process.pid}/status"))
-    return "SigCgt:" in words and bool(
-        int(words[words.index("SigCgt:") + 1], 16) & 1 << (what - 1)
-    )
+    return is_in("SigCgt:", process.pid, what)
+
+
+def has_been_sent(number: int, what: signal.Signals) -> bool:
+    """Tell whether a process that is stopped has been sent a signal, or that it has ended."""
+    return is_in("ShdPnd:", number, what) or not is_program(number)
+
+
+def is_in(name: str, number: int, what: signal.Signals) -> bool:
+    """Tell whether a signal is in one of the sets of signals that the system lists."""
+    words = words_of(Path(f"/proc/{number}/status"))
+    return name in words and bool(int(words[words.index(name) + 1], 16) & 1 << (what - 1))
 
 
 def kill_all(process: subprocess.Popen[str]) -> None:
@@ -201,15 +225,17 @@ def kill_all(process: subprocess.Popen[str]) -> None:
     send([process.pid, *descendants(process.pid)], signal.SIGKILL)
 
 
-def wait_for(condition: Callable[[], bool], process: subprocess.Popen[str]) -> bool:
-    """Wait until something is so, as long as the program runs."""
+def wait_for(
+    condition: Callable[[], bool], process: subprocess.Popen[str], pause: float = 0.005
+) -> bool:
+    """Wait until something is so, as long as the program runs; `pause`: between two looks."""
     end = time.monotonic() + PATIENCE
     while time.monotonic() < end:
         if condition():
             return True
         if process.poll() is not None:
             return condition()
-        time.sleep(0.005)
+        time.sleep(pause)
     return False
 
 
