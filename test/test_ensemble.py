@@ -9,6 +9,7 @@ import signal
 import socket
 import subprocess
 import time
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import h5py
@@ -22,9 +23,13 @@ from support.program import (
     Rank,
     assert_same,
     finish,
+    has_been_sent,
+    hold,
+    is_program,
     kill_all,
     listing,
     namelist,
+    processor_seconds,
     rank_processes,
     run,
     send,
@@ -33,11 +38,11 @@ from support.program import (
 )
 
 if TYPE_CHECKING:
-    from pathlib import Path
-    from subprocess import Popen
+    from collections.abc import Callable
+    from subprocess import CompletedProcess, Popen
 
 TASKS = 4
-COLLISIONS = 20_000_000
+COLLISIONS = 5_000_000
 CASE: dict[str, dict[str, Any]] = {
     "particles": {"number": 200},
     "gate": {"threshold": 3},
@@ -45,7 +50,7 @@ CASE: dict[str, dict[str, Any]] = {
     "scan": {"channel2_width": "0.01, 0.1", "replicas": TASKS // 2},
     "output": {
         "file": "'out.h5'",
-        "series_interval": 333,
+        "series_interval": 83,
         "snapshot_times": "0, 100",
         "final_state": ".true.",
     },
@@ -105,23 +110,64 @@ def under_way(folder: Path, ranks: int = 0, *arguments: str) -> tuple[Popen[str]
     return process, numbers
 
 
-def stopped(folder: Path, what: signal.Signals, delay: float, ranks: int = 0) -> None:
-    """Stop a run by a signal to all ranks some time after its start; it exits with 3."""
-    process, numbers = under_way(folder, ranks)
-    time.sleep(delay)
-    send(numbers, what)
-    ended = finish(process)
+def compute(process: Popen[str], numbers: list[int], seconds: float) -> None:
+    """Wait until ranks have used so much more of the processors, or have ended."""
+    least = processor_seconds(numbers) + seconds
+    wait_for(
+        lambda: processor_seconds(numbers) >= least or not any(map(is_program, numbers)),
+        process, pause=0.001,
+    )  # fmt: skip
+
+
+def in_steps(
+    process: Popen[str], number: int, seconds: float, found: Callable[[], bool]
+) -> bool:
+    """Let a rank compute for `seconds` at a time, until something is found; false if it ends.
+
+    It is held between, so that it saves a state each time, however short its tasks are. What is
+    looked for is looked for while it stands still, and it stays so.
+    """
+    while is_program(number):
+        compute(process, [number], seconds)
+        send([number], signal.SIGSTOP)
+        if found():
+            return True
+        hold([number])
+    return False
+
+
+def disturbed(
+    folder: Path, ranks: int, seconds: float, disturb: Callable[[Popen[str], list[int]], None]
+) -> CompletedProcess[str]:
+    """Start a run and disturb it when it has computed for some seconds; give how it ended."""
+    # On a busy machine the run may be over before it is disturbed: then there is another.
+    for _ in range(5):
+        process, numbers = under_way(folder, ranks)
+        compute(process, numbers, seconds)
+        disturb(process, numbers)
+        ended = finish(process)
+        if f"{TASKS} of {TASKS} tasks are complete" not in ended.stdout:
+            break
+        (folder / "out.h5").unlink()
+    return ended
+
+
+def stopped(
+    folder: Path, what: signal.Signals, seconds: float, ranks: int = 0, first: int = 0
+) -> None:
+    """Stop a run by a signal to all ranks, or those from `first` on; it exits with 3."""
+    ended = disturbed(folder, ranks, seconds, lambda _, numbers: send(numbers[first:], what))
     assert ended.returncode == 3, (ended.returncode, ended.stdout, ended.stderr)
     with h5py.File(folder / "out.h5") as file:
         assert np.asarray(file.attrs["status"]).item() in ("partial", b"partial")
         assert set(np.unique(file["task_status"])) <= {0, 2}
 
 
-def killed(folder: Path, ranks: int, delay: float, victim: int | None) -> None:
-    """Kill one rank, or all with mpirun, at any moment."""
+def killed(folder: Path, ranks: int, seconds: float, victim: int | None) -> None:
+    """Kill one rank, or all with mpirun, when they have run for some seconds, start included."""
     process = start("--quiet", "case.nml", folder=folder, ranks=ranks)
     numbers = rank_processes(process, ranks)
-    time.sleep(delay)
+    wait_for(lambda: processor_seconds(numbers) >= seconds, process, 0.001)
     if victim is None or not numbers:
         kill_all(process)
     else:
@@ -214,9 +260,7 @@ def test_two_ranks_stopped_by_a_signal(
 def test_one_rank_of_two_hears_the_signal(tmp_path: Path, undisturbed: Path) -> None:
     """A signal to one rank stops all."""
     write(tmp_path)
-    process, numbers = under_way(tmp_path, 2)
-    send(numbers[1:], signal.SIGUSR1)
-    assert finish(process).returncode == 3
+    stopped(tmp_path, signal.SIGUSR1, 0.0, ranks=2, first=1)
     complete(tmp_path, undisturbed, 2)
 
 
@@ -226,10 +270,18 @@ def test_signal_to_mpirun(
 ) -> None:
     """A signal to mpirun, as from a batch system, loses nothing."""
     write(tmp_path)
-    process, _ = under_way(tmp_path, 2)
-    time.sleep(0.1 * seconds)
-    send([process.pid], what)
-    ended = finish(process)
+
+    def signal_to_mpirun(process: Popen[str], numbers: list[int]) -> None:
+        if what == signal.SIGUSR1:
+            send([process.pid], what)
+            return
+        # mpirun takes its time before it ends its ranks; the run would be over.
+        send(numbers, signal.SIGSTOP)
+        send([process.pid], what)
+        wait_for(lambda: all(has_been_sent(number, what) for number in numbers), process)
+        send(numbers, signal.SIGCONT)
+
+    ended = disturbed(tmp_path, 2, 0.1 * seconds, signal_to_mpirun)
     # MPICH's mpirun says 0 now and then, though its ranks said 3.
     assert ended.returncode != 0 or "stopped early" in ended.stdout
     if what == signal.SIGUSR1 and "mpich" not in MPIRUN:
@@ -246,7 +298,10 @@ def test_a_second_signal_leaves_at_once(tmp_path: Path, undisturbed: Path) -> No
     send([first], signal.SIGTERM)
     # A signal within half a second of the first counts as the first.
     send([first], signal.SIGTERM)
-    time.sleep(0.8)
+    time.sleep(0.1)
+    # Not to turn in its wait all the time.
+    hold([first], 0.6)
+    time.sleep(0.1)
     assert process.poll() is None
     send([first], signal.SIGTERM)
     assert finish(process).returncode == 128 + signal.SIGTERM
@@ -264,7 +319,7 @@ def test_stopped_again_and_again(tmp_path: Path, undisturbed: Path, seconds: flo
 @pytest.mark.parametrize("ranks", [0, 2])
 def test_wall_minutes(tmp_path: Path, undisturbed: Path, ranks: int) -> None:
     """The time limit stops a run cleanly; without it, the run goes on."""
-    write(tmp_path, limits={"checkpoint_minutes": 10, "wall_minutes": 0.0005})
+    write(tmp_path, limits={"checkpoint_minutes": 10, "wall_minutes": 0.0001})
     before = time.monotonic()
     ended = run("case.nml", folder=tmp_path, ranks=ranks)
     assert ended.returncode == 3, (ended.stdout, ended.stderr)
@@ -301,9 +356,10 @@ def test_killed(
 ) -> None:
     """After kill -9 of one rank or of all, at any moment, the bits are the same."""
     write(tmp_path)
-    killed(tmp_path, ranks, first * seconds, victim)
+    # A start takes about half as long as the tasks.
+    killed(tmp_path, ranks, 1.5 * first * seconds, victim)
     if not ranks:
-        killed(tmp_path, 0, second * seconds, None)
+        killed(tmp_path, 0, 1.5 * second * seconds, None)
     complete(tmp_path, undisturbed, ranks_after)
 
 
@@ -334,14 +390,14 @@ def test_killed_in_the_middle_of_a_write(tmp_path: Path) -> None:
 
 
 @pytest.fixture(scope="module")
-def interrupted(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def interrupted(tmp_path_factory: pytest.TempPathFactory, seconds: float) -> Path:
     """Give a folder with a run killed after some finished tasks, with states of the next."""
     # On a busy machine the run may get by between two looks: then there is another.
     for _ in range(5):
         folder = tmp_path_factory.mktemp("interrupted") / "case"
         write(folder)
         process, _ = under_way(folder, 0, "--quiet")
-        if stopped_in_the_third_task(process, folder / "out.h5.tasks"):
+        if stopped_in_the_third_task(process, folder / "out.h5.tasks", 0.25 * seconds / TASKS):
             send([process.pid], signal.SIGKILL)
             finish(process)
             assert (folder / "out.h5.tasks/rank_0").stat().st_size > 0
@@ -350,22 +406,19 @@ def interrupted(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return pytest.fail("no run was seen in its third task")
 
 
-def stopped_in_the_third_task(process: Popen[str], journal: Path) -> bool:
+def stopped_in_the_third_task(process: Popen[str], journal: Path, step: float) -> bool:
     """Stop a run where it has both states of its third task; false if it has ended before."""
-    seen: set[str] = set()
+    sizes: list[int] = []
 
     def both_are_there() -> bool:
         # A generation is away for a moment while it is made anew: look while nothing moves.
-        send([process.pid], signal.SIGSTOP)
         states = [path for path in journal.glob("task_*.[ab]") if path.stat().st_size > 0]
-        seen.update(path.stem for path in states)
-        # The third task: states of one that is finished are away before the next has any.
-        if len(seen) == 3 and len(states) == 2:
-            return True
-        send([process.pid], signal.SIGCONT)
-        return False
+        sizes.extend(path.stat().st_size for path in journal.glob("rank_0"))
+        # In the third task: the results of all have about the size of the first.
+        first = next(filter(None, sizes), 0)
+        return len(states) == 2 and first > 0 and round(sizes[-1] / first) == 2
 
-    return wait_for(both_are_there, process)
+    return in_steps(process, process.pid, step, both_are_there)
 
 
 def copy_of(interrupted: Path, tmp_path: Path) -> Path:
@@ -569,7 +622,7 @@ def failing(folder: Path, ranks: int = 0, **output: Any) -> None:
     """One task of three has too many particles for the memory."""
     write(
         folder,
-        run={"collisions": 3_000_000, "transient_collisions": 0},
+        run={"collisions": 300_000, "transient_collisions": 0},
         scan={"channel2_width": 0.1, "replicas": 1, "number": "100, 200000000, 50"},
         output={"snapshot_times": 0, "final_state": ".false.", **output},
     )
@@ -609,7 +662,7 @@ def test_memory_short_after_the_start(tmp_path: Path) -> None:
 
     write(
         tmp_path,
-        run={"collisions": 3_000_000, "transient_collisions": 0},
+        run={"collisions": 300_000, "transient_collisions": 0},
         scan={"channel2_width": 0.1, "replicas": 1, "number": "100, 30000000"},
         output={"snapshot_times": 0, "final_state": ".false.", "series_interval": 0},
     )
@@ -619,8 +672,11 @@ def test_memory_short_after_the_start(tmp_path: Path) -> None:
     assert "1 of 2 tasks are complete" in ended.stdout
 
 
-@pytest.mark.parametrize("room", [100, 9000, 30000])
-def test_file_size_limit(tmp_path: Path, undisturbed: Path, room: int) -> None:
+# Of the journal's plan, of a state, and of results.
+@pytest.mark.parametrize(("room", "steps"), [(100, False), (9000, True), (30000, False)])
+def test_file_size_limit(
+    tmp_path: Path, undisturbed: Path, seconds: float, room: int, *, steps: bool
+) -> None:
     """When no file may grow beyond some size: a clear message, exit 1; with room it goes on."""
 
     def limit() -> None:
@@ -629,9 +685,12 @@ def test_file_size_limit(tmp_path: Path, undisturbed: Path, room: int) -> None:
     write(tmp_path)
     # Files of MPI itself are in memory and shared; one process alone can do without.
     environment = {"OMPI_MCA_btl": "self", "PMIX_MCA_gds": "hash"}
-    ended = run("case.nml", folder=tmp_path, prepare=limit, environment=environment)
+    process = start("case.nml", folder=tmp_path, prepare=limit, environment=environment)
+    if steps and wait_for((tmp_path / "out.h5.tasks/plan").exists, process, 0.001):
+        in_steps(process, process.pid, 0.25 * seconds / TASKS, lambda: False)
+    ended = finish(process)
     assert ended.returncode == 1, (ended.returncode, ended.stdout, ended.stderr)
-    assert "out.h5" in ended.stderr
+    assert "out.h5.tasks/" in ended.stderr
     complete(tmp_path, undisturbed)
 
 
@@ -647,22 +706,30 @@ cp -r . ..
 """
 
 
+def on_a_small_disk(folder: Path, size: str, step: float = 0.0) -> None:
+    """Run it on a disk too small, then with room; with a step, it saves states after each."""
+    (folder / "disk").mkdir()
+    # A small file system that only these processes see.
+    process = subprocess.Popen(
+        ["unshare", "-rm", "sh", "-c", FULL_DISK.format(size=size, program=PROGRAM)],
+        cwd=folder, env=ALONE, text=True,
+    )  # fmt: skip
+    numbers = rank_processes(process, 1)
+    if step and numbers:
+        plan = Path(f"/proc/{numbers[0]}/cwd/out.h5.tasks/plan")
+        wait_for(lambda: plan.exists() or not is_program(numbers[0]), process, 0.001)
+        in_steps(process, numbers[0], step, lambda: False)
+    process.wait(PATIENCE)
+    if not (folder / "code").exists():
+        pytest.skip("this system does not let us mount a small file system")
+
+
+# Of the file of the owner, of the first state, and of the second.
 @pytest.mark.parametrize("size", ["4k", "28k", "80k"])
-def test_full_disk(tmp_path: Path, undisturbed: Path, size: str) -> None:
+def test_full_disk(tmp_path: Path, undisturbed: Path, seconds: float, size: str) -> None:
     """On a full disk: a clear message, exit 1, nothing lost; with room it goes on."""
     write(tmp_path)
-    (tmp_path / "disk").mkdir()
-    script = FULL_DISK.format(size=size, program=PROGRAM)
-    # A small file system that only these processes see.
-    subprocess.run(
-        ["unshare", "-rm", "sh", "-c", script],
-        cwd=tmp_path,
-        env=ALONE,
-        timeout=PATIENCE,
-        check=False,
-    )
-    if not (tmp_path / "code").exists():
-        pytest.skip("this system does not let us mount a small file system")
+    on_a_small_disk(tmp_path, size, 0.25 * seconds / TASKS)
     assert (tmp_path / "code").read_text() == "1\n", (tmp_path / "output").read_text()
     assert "out.h5" in (tmp_path / "errors").read_text()
     assert (tmp_path / "code_again").read_text() == "0\n", (tmp_path / "output_again").read_text()
@@ -671,20 +738,14 @@ def test_full_disk(tmp_path: Path, undisturbed: Path, size: str) -> None:
 
 def test_full_disk_with_room_for_a_results_file(tmp_path: Path) -> None:
     """Results that do not fit are missed, even if a file without them would fit."""
-    changes = {"particles": {"number": 2000}, "run": {"collisions": 60_000_000}}
+    changes: dict[str, dict[str, Any]] = {
+        "particles": {"number": 2000},
+        "run": {"collisions": 6_000_000},
+        "output": {"series_interval": 33},
+    }
     text = write(tmp_path, **changes).read_text().replace("  snapshot_times = 0, 100\n", "")
     (tmp_path / "case.nml").write_text(text)
-    (tmp_path / "disk").mkdir()
-    script = FULL_DISK.format(size="120k", program=PROGRAM)
-    subprocess.run(
-        ["unshare", "-rm", "sh", "-c", script],
-        cwd=tmp_path,
-        env=ALONE,
-        timeout=PATIENCE,
-        check=False,
-    )
-    if not (tmp_path / "code").exists():
-        pytest.skip("this system does not let us mount a small file system")
+    on_a_small_disk(tmp_path, "120k")
     write(tmp_path / "other", **changes).write_text(text)
     assert run("--quiet", "case.nml", folder=tmp_path / "other").returncode == 0
     assert (tmp_path / "code").read_text() == "1\n", (tmp_path / "output").read_text()

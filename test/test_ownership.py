@@ -14,21 +14,21 @@ from support import program
 
 if TYPE_CHECKING:
     from pathlib import Path
-    from subprocess import Popen
+    from subprocess import CompletedProcess, Popen
 
-#: So long that it is still at work when it is stopped or killed; or soon over.
-LONG, SHORT = 100_000_000_000, 20_000_000
+#: So long that it is still at work when it is stopped or killed; or over in milliseconds.
+LONG, SHORT = 100_000_000_000, 1_000_000
 OWNER_ELSEWHERE = "elsewhere 4711 2026-11-21 12:00:00.000"
 
 
 def write(folder: Path, name: str = "case.nml", collisions: int = SHORT, **keys: Any) -> None:
-    """Write a case with two tasks."""
+    """Write a case with two tasks, or with more."""
     (folder / name).write_text(
         program.namelist(
             particles={"number": 50, "seed": keys.get("seed", 1)},
             gate={"threshold": 2},
             run={"collisions": collisions},
-            scan={"replicas": 2},
+            scan={"replicas": keys.get("replicas", 2)},
             output={"file": "'out.h5'"},
             limits={"checkpoint_minutes": 0.001},
         )
@@ -77,9 +77,14 @@ def test_a_second_run_is_told_who_has_the_output(tmp_path: Path, ranks: int) -> 
 
 def test_a_run_that_ends_soon_is_waited_for(tmp_path: Path) -> None:
     """Two runs of a short input at once: one computes, the other finds it complete."""
-    write(tmp_path)
-    runs = [program.start("case.nml", folder=tmp_path) for _ in range(2)]
-    ended = [program.finish(process) for process in runs]
+    write(tmp_path, collisions=20 * SHORT)
+    first = program.start("case.nml", folder=tmp_path)
+    assert program.wait_for((tmp_path / "out.h5.owner").exists, first)
+    program.send([first.pid], signal.SIGSTOP)
+    second = program.start("case.nml", folder=tmp_path)
+    assert program.wait_for(lambda: program.hears(second, signal.SIGTERM), second)
+    program.hold([first.pid])
+    ended = [program.finish(process) for process in (first, second)]
     assert [one.returncode for one in ended] == [0, 0], [one.stderr for one in ended]
     assert sum("is complete" in one.stdout for one in ended) == 1
     assert names(tmp_path) == ["case.nml", "out.h5"]
@@ -128,6 +133,7 @@ def test_a_signal_ends_the_wait(tmp_path: Path) -> None:
     """A run that waits for another hears a signal, and exits with 3."""
     write(tmp_path, collisions=LONG)
     process, numbers = under_way(tmp_path, "case.nml")
+    program.send(numbers, signal.SIGSTOP)
     second = program.start("case.nml", folder=tmp_path)
     assert program.wait_for(lambda: program.hears(second, signal.SIGTERM), second)
     second.send_signal(signal.SIGTERM)
@@ -203,37 +209,55 @@ def test_without_locks_nothing_is_taken_over(tmp_path: Path) -> None:
     assert names(folder) == ["case.nml", "out.h5"]
 
 
-@pytest.mark.parametrize(
-    ("variable", "words"),
-    [
-        ("SLURM_STEP_NUM_TASKS", "srun has started 4 programs of one rank each, not one run of 4"),
-        ("OMPI_COMM_WORLD_SIZE", "the mpirun of Open MPI has started 4 programs of one rank each"),
-        ("PMI_SIZE", "the mpirun of MPICH has started 4 programs of one rank each"),
-        ("", ""),
-    ],
-)
+LAUNCHERS = {
+    "SLURM_STEP_NUM_TASKS": "srun has started 4 programs of one rank each, not one run of 4",
+    "OMPI_COMM_WORLD_SIZE": "the mpirun of Open MPI has started 4 programs of one rank each",
+    "PMI_SIZE": "the mpirun of MPICH has started 4 programs of one rank each",
+}
+
+
+@pytest.fixture(scope="module")
+def refused(tmp_path_factory: pytest.TempPathFactory) -> dict[str, CompletedProcess[str]]:
+    """Give what runs say of an output that is another's, by the variable of their launcher.
+
+    Each waits five seconds for the other to end: all do so at once.
+    """
+    folder = tmp_path_factory.mktemp("refused")
+    write(folder)
+    (folder / "out.h5.owner").write_text(OWNER_ELSEWHERE)
+    started = {
+        variable: program.start("case.nml", folder=folder, environment={variable: "4"})
+        for variable in LAUNCHERS
+    }
+    started[""] = program.start("case.nml", folder=folder)
+    # Two ranks of one mpirun: that fits, whatever a batch system says.
+    started["fits"] = program.start(
+        "case.nml", folder=folder, environment={"SLURM_STEP_NUM_TASKS": "4"}, ranks=2
+    )
+    return {variable: program.finish(process) for variable, process in started.items()}
+
+
+@pytest.mark.parametrize(("variable", "words"), LAUNCHERS.items())
 def test_a_launcher_that_does_not_fit_is_named(
-    tmp_path: Path, variable: str, words: str
+    tmp_path: Path, refused: dict[str, CompletedProcess[str]], variable: str, words: str
 ) -> None:
     """Only where an output is refused."""
     write(tmp_path)
-    started = {variable: "4"} if variable else {}
+    started = {variable: "4"}
     assert program.run("--check", "case.nml", folder=tmp_path, environment=started).returncode == 0
     assert program.run("case.nml", folder=tmp_path, environment=started).returncode == 0
-    (tmp_path / "out.h5.owner").write_text(OWNER_ELSEWHERE)
-    alone = program.run("case.nml", folder=tmp_path, environment=started)
+    alone = refused[variable]
     assert alone.returncode == 2
     assert alone.stderr.count("out.h5: another run has locked it") == 1
     assert words in alone.stderr
-    assert ("programs of one rank" in alone.stderr) == bool(variable)
 
 
-def test_a_launcher_that_fits_is_not_named(tmp_path: Path) -> None:
-    """A mpirun has started one run of two ranks."""
-    write(tmp_path)
-    (tmp_path / "out.h5.owner").write_text(OWNER_ELSEWHERE)
-    started = {"SLURM_STEP_NUM_TASKS": "4"}
-    ended = program.run("case.nml", folder=tmp_path, environment=started, ranks=2)
+@pytest.mark.parametrize("how", ["", "fits"])
+def test_a_launcher_that_fits_is_not_named(
+    refused: dict[str, CompletedProcess[str]], how: str
+) -> None:
+    """A mpirun has started one run of two ranks, or nothing has started one rank."""
+    ended = refused[how]
     assert ended.returncode == 2
     assert ended.stderr.count("out.h5: another run has locked it") == 1
     assert "programs of one rank" not in ended.stderr
@@ -313,11 +337,14 @@ def test_what_appears_under_the_name_of_the_output_stays(tmp_path: Path, what: s
     if what == "other contents":
         write(tmp_path)
         assert program.run("case.nml", folder=tmp_path).returncode == 0
-        text = (tmp_path / "case.nml").read_text().replace("replicas = 2", "replicas = 500")
-        (tmp_path / "case.nml").write_text(text)
+        write(tmp_path, collisions=SHORT, replicas=5000)
+        process = program.start("--quiet", "case.nml", folder=tmp_path)
+        numbers = [process.pid]
+        assert program.wait_for((tmp_path / "out.h5.tasks/rank_0").exists, process)
     else:
         write(tmp_path, collisions=LONG)
-    process, numbers = under_way(tmp_path, "case.nml")
+        process, numbers = under_way(tmp_path, "case.nml")
+    program.send(numbers, signal.SIGSTOP)
     if what == "link":
         output.symlink_to("nowhere")
     elif what == "file":
@@ -327,6 +354,7 @@ def test_what_appears_under_the_name_of_the_output_stays(tmp_path: Path, what: s
             file.attrs["note"] = "precious"
     before = (output.is_symlink() and output.readlink()) or output.read_bytes()
     program.send(numbers, signal.SIGTERM)
+    program.send(numbers, signal.SIGCONT)
     ended = program.finish(process)
     assert ended.returncode == 1, (ended.stdout, ended.stderr)
     assert "out.h5.part: is whole, and is kept under this name, since out.h5 is" in ended.stderr

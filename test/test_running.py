@@ -202,7 +202,7 @@ def interruptible() -> Iterator[None]:
 
 @pytest.mark.usefixtures("interruptible")
 def test_an_interrupted_run_goes_on_to_the_same_bits(tmp_path: Path) -> None:
-    long = changed(run={"duration": 160000.0}, scan={"replicas": 8})
+    long = changed(run={"duration": 20000.0}, scan={"replicas": 8})
     whole = postproc.run(long, folder=tmp_path / "whole", quiet=True)
     # On a busy machine a run may be over before its interrupt comes.
     tried = (tmp_path / f"{number}" for number in range(5))

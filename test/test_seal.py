@@ -142,11 +142,12 @@ def stopped(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Give a folder with partial results and their journal, and what they come to in `calm`."""
     folder = tmp_path_factory.mktemp("stopped")
     (folder / "calm").mkdir()
-    write(folder / "calm", 20_000_000)
+    write(folder / "calm", 2_000_000)
     assert run("--quiet", "case.nml", folder=folder / "calm").returncode == 0
-    write(folder, 20_000_000, wall_minutes="0.0005")
+    # So short that it is over at the first look.
+    write(folder, 2_000_000, wall_minutes="1e-6")
     assert run("--quiet", "case.nml", folder=folder).returncode == 3
-    write(folder, 20_000_000)
+    write(folder, 2_000_000)
     return folder
 
 

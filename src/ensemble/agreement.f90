@@ -2,7 +2,7 @@
 !> before any of them writes.
 module battery_agreement
   use battery_clocks, only: wall_seconds, sleep_for
-  use battery_communicator, only: communicator_type, share_error, share_text
+  use battery_communicator, only: communicator_type, share_error, share_text, sleep_until_all
   use battery_error, only: error_type, fatal_error, exit_bad_input
   use battery_kinds, only: dp
   use battery_machine, only: host_name
@@ -84,6 +84,8 @@ contains
         call sleep_for(pause)
       end if
     end do
+    ! Some rank may have waited for the marker of rank 0.
+    call sleep_until_all(communicator)
     call share_error(communicator, error)
     if (communicator%rank == 0) call remove_marker(lock, lock_error)
     call share_error(communicator, lock_error)

@@ -13,15 +13,16 @@ module battery_communicator
   use, intrinsic :: iso_c_binding, only: c_ptr, c_f_pointer
   ! A compiler without the switches of fpm.rsp shows the next line, and stops.
   use mpi_f08, only: & ! type "fpm @release": "fpm build" alone has no switches (docs/install.md)
-    MPI_Comm, MPI_Win, MPI_COMM_WORLD, MPI_INFO_NULL, MPI_INTEGER8, MPI_INTEGER, &
+    MPI_Comm, MPI_Win, MPI_Request, MPI_COMM_WORLD, MPI_INFO_NULL, MPI_INTEGER8, MPI_INTEGER, &
     MPI_CHARACTER, MPI_DOUBLE_PRECISION, MPI_SUM, MPI_MIN, MPI_MAX, &
     MPI_ADDRESS_KIND, MPI_MAX_LIBRARY_VERSION_STRING, MPI_Init, MPI_Initialized, MPI_Finalize, &
-    MPI_Comm_rank, MPI_Comm_size, MPI_Comm_dup, MPI_Comm_free, MPI_Bcast, MPI_Barrier, &
+    MPI_Comm_rank, MPI_Comm_size, MPI_Comm_dup, MPI_Comm_free, MPI_Bcast, MPI_Barrier, MPI_Ibarrier, MPI_Test, &
     MPI_Allreduce, MPI_Win_allocate, MPI_Win_free, MPI_Win_lock_all, MPI_Win_unlock_all, &
     MPI_Win_flush, MPI_Win_sync, MPI_Fetch_and_op, MPI_Get, MPI_Iprobe, MPI_Get_library_version, &
     MPI_STATUS_IGNORE, MPI_ANY_SOURCE, MPI_ANY_TAG, MPI_Comm_split_type, MPI_COMM_TYPE_SHARED, &
     MPI_Comm_set_errhandler, MPI_ERRORS_RETURN, MPI_ERRORS_ARE_FATAL, MPI_SUCCESS
   use battery_kinds, only: dp, int64
+  use battery_clocks, only: sleep_for
   use battery_error, only: error_type, fatal_error
   use battery_signals, only: signals_watch
   use battery_terminal, only: is_terminal, parent_is_terminal
@@ -29,7 +30,7 @@ module battery_communicator
   private
   public :: communicator_type, open_communicator, close_communicator, share_error, share_text
   public :: ranks_on_node, output_is_terminal
-  public :: share_words, wait_for_all, least_mean_greatest, mpi_library
+  public :: share_words, wait_for_all, sleep_until_all, least_mean_greatest, mpi_library
   public :: task_queue_type, open_task_queue, close_task_queue, add_to_counter, read_counter
   public :: fetch_task, drive_mpi_progress, mpi_progress_interval
   public :: next_task, tasks_finished, tasks_failed, collisions_done, stop_wanted
@@ -151,6 +152,22 @@ contains
 
     call MPI_Barrier(communicator%ranks)
   end subroutine wait_for_all
+
+  !> Barrier for ranks one of which may be seconds late: the others sleep meanwhile, where
+  !> `wait_for_all` keeps their processors busy, but returns sooner. Collective.
+  subroutine sleep_until_all(communicator)
+    type(communicator_type), intent(in) :: communicator
+    real(dp), parameter :: nap = 1.0e-3_dp
+    type(MPI_Request) :: request
+    logical :: reached
+
+    call MPI_Ibarrier(communicator%ranks, request)
+    do
+      call MPI_Test(request, reached, MPI_STATUS_IGNORE)
+      if (reached) exit
+      call sleep_for(nap)
+    end do
+  end subroutine sleep_until_all
 
   !> Number of ranks on the machine of this rank. Collective.
   function ranks_on_node(communicator) result(ranks)

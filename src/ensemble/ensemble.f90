@@ -9,7 +9,7 @@ module battery_ensemble
   use battery_clocks, only: wall_seconds, utc_now
   use battery_communicator, only: communicator_type, task_queue_type, open_task_queue, &
     close_task_queue, read_counter, share_error, share_text, least_mean_greatest, tasks_finished, &
-    tasks_failed, collisions_done
+    tasks_failed, collisions_done, sleep_until_all
   use battery_error, only: error_type, fatal_error, exit_success, exit_failure, exit_stopped_early
   use battery_journal, only: journal_type, check_lock
   use battery_journal_folder, only: remove_journal
@@ -51,6 +51,8 @@ contains
     exit_code = exit_failure
     if (communicator%rank == 0) call acquire_lock(lock, plan%file, error, &
       hint=launcher_hint(communicator))
+    ! Rank 0 may have waited for the end of another run.
+    call sleep_until_all(communicator)
     call share_error(communicator, error)
     if (allocated(error)) return
     call share_text(communicator, lock%path, 0)

@@ -23,7 +23,11 @@ ROOT = Path(__file__).resolve().parents[2]
 # Another build may be tried with BATTERY_PROGRAM, and another mpirun with BATTERY_MPIRUN.
 MPIRUN = os.environ.get("BATTERY_MPIRUN", "mpirun")
 PROGRAM = Path(os.environ.get("BATTERY_PROGRAM", ROOT / "build/bin/battery"))
+# Open MPI chooses ob1 on a machine by itself; asked for, it does not look for networks first, which
+# is half of what a start of the program costs. A rank that waits lets others have the processor.
 ENVIRONMENT = {
+    "OMPI_MCA_pml": "ob1",
+    "OMPI_MCA_mpi_yield_when_idle": "1",
     **os.environ,
     **launcher.LAUNCHER,
     "LC_ALL": "C.UTF-8",
@@ -184,12 +188,36 @@ def send(numbers: list[int], what: signal.Signals) -> None:
             continue
 
 
+def hold(numbers: list[int], seconds: float = 0.2) -> None:
+    """Hold ranks back for longer than they compute between two looks at what is due.
+
+    When they go on, a state is saved at once, however short the tasks are.
+    """
+    send(numbers, signal.SIGSTOP)
+    time.sleep(seconds)
+    send(numbers, signal.SIGCONT)
+
+
+def processor_seconds(numbers: list[int]) -> float:
+    """Sum the processor time that processes have used; those that are gone count for nothing."""
+    used = [words_of(Path(f"/proc/{number}/schedstat")) for number in numbers]
+    return sum(int(words[0]) for words in used if words) / 1e9
+
+
 def hears(process: subprocess.Popen[str], what: signal.Signals) -> bool:
     """Tell whether a process that was started without mpirun catches a signal yet."""
-    words = words_of(Path(f"/proc/{process.pid}/status"))
-    return "SigCgt:" in words and bool(
-        int(words[words.index("SigCgt:") + 1], 16) & 1 << (what - 1)
-    )
+    return is_in("SigCgt:", process.pid, what)
+
+
+def has_been_sent(number: int, what: signal.Signals) -> bool:
+    """Tell whether a process that is stopped has been sent a signal, or that it has ended."""
+    return is_in("ShdPnd:", number, what) or not is_program(number)
+
+
+def is_in(name: str, number: int, what: signal.Signals) -> bool:
+    """Tell whether a signal is in one of the sets of signals that the system lists."""
+    words = words_of(Path(f"/proc/{number}/status"))
+    return name in words and bool(int(words[words.index(name) + 1], 16) & 1 << (what - 1))
 
 
 def kill_all(process: subprocess.Popen[str]) -> None:
@@ -197,15 +225,17 @@ def kill_all(process: subprocess.Popen[str]) -> None:
     send([process.pid, *descendants(process.pid)], signal.SIGKILL)
 
 
-def wait_for(condition: Callable[[], bool], process: subprocess.Popen[str]) -> bool:
-    """Wait until something is so, as long as the program runs."""
+def wait_for(
+    condition: Callable[[], bool], process: subprocess.Popen[str], pause: float = 0.005
+) -> bool:
+    """Wait until something is so, as long as the program runs; `pause`: between two looks."""
     end = time.monotonic() + PATIENCE
     while time.monotonic() < end:
         if condition():
             return True
         if process.poll() is not None:
             return condition()
-        time.sleep(0.005)
+        time.sleep(pause)
     return False
 
 
