@@ -157,7 +157,7 @@ contains
   !> `wait_for_all` keeps their processors busy, but returns sooner. Collective.
   subroutine sleep_until_all(communicator)
     type(communicator_type), intent(in) :: communicator
-    real(dp), parameter :: nap = 1.0e-3_dp
+    real(dp), parameter :: pause = 1.0e-3_dp
     type(MPI_Request) :: request
     logical :: reached
 
@@ -165,7 +165,7 @@ contains
     do
       call MPI_Test(request, reached, MPI_STATUS_IGNORE)
       if (reached) exit
-      call sleep_for(nap)
+      call sleep_for(pause)
     end do
   end subroutine sleep_until_all
 
