@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
@@ -41,6 +43,18 @@ def test_rounds_are_reached_one_after_the_other() -> None:
     circuit = Case(threshold=1000).circuit
     found = circulation.reached(two_port.straight_at(circuit, 500.0))
     assert np.all(np.diff(found[:, 1:]) <= 1e-12)
+
+
+def test_what_is_turned_back_begins_anew() -> None:
+    """Through, turned back, through; one weighs 1 from an urn, 10 from channel 1."""
+    one = np.zeros(1, int)
+    straight = SimpleNamespace(
+        seed=1,
+        begun=lambda *_: (one, one, one, np.array([[1.0], [0.0], [10.0]])),
+        rounds=lambda *_: ((one, one, one, one, np.array([way])) for way in (True, False, True)),
+    )
+    found = circulation.reached(straight)
+    assert found[:, :4].tolist() == [[0.0, 34.0, 20.0, 0.0], [0.0, 10.0, 0.0, 0.0]]
 
 
 def test_each_passage_has_its_fate() -> None:

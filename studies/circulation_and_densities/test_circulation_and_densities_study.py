@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
@@ -9,6 +11,7 @@ from postproc.theory import two_port
 from postproc.theory.models import MODELS
 from studies.circulation_and_densities import acting_back
 from studies.circulation_and_densities.study import Case, summary
+from studies.event_log import Circuit as Table
 
 NEAR = Case((12, 12), 0.3, 0.0612)
 
@@ -32,6 +35,23 @@ def test_urns_send_as_much_as_they_receive() -> None:
     arriving = np.array([8.0, 20.0])
     entries, across, _, _ = acting_back.Balance(circuit, known).flows(arriving)
     assert entries + across == pytest.approx(arriving + across[::-1], rel=1e-12)
+
+
+def test_passages_of_both_urns_are_filled_to_the_age(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Ten times as many of those that begin in urn 2, 8 rounds; no particle is followed."""
+    straight = SimpleNamespace(
+        decay=0.0, share=np.ones(2),
+        passages=lambda start: 10.0**start * np.array([[[1.0], [2.0]], [[3.0], [4.0]]]),
+    )  # fmt: skip
+    monkeypatch.setattr(acting_back.circulation, "followed", lambda *_, **__: straight)
+    monkeypatch.setattr(
+        acting_back.circulation, "filled", lambda terms, _, rounds: float(terms[0] * rounds)
+    )
+    table = Table(channel2_width=0.0612)
+    age = 8.0 * (2.0 * sum(table.chords) + 2.0)
+    found = acting_back.passing(NEAR.circuit, np.ones(2), np.ones(2), age)
+    assert found.down == pytest.approx([88.0, 176.0])
+    assert found.up == pytest.approx([264.0, 352.0])
 
 
 def test_nothing_changes_in_a_circuit_with_open_gates() -> None:

@@ -68,7 +68,8 @@ def test_mirror_images_need_gate_number_and_time() -> None:
 
 def test_example_that_is_undone_and_one_that_is_not(tmp_path: Path) -> None:
     work = Study(tmp_path, HERE)
-    good = examples.example(work, "good", examples.FROM_URN2)
+    aslant = [(x, y, -math.sqrt(0.99), 0.1) for x, y, *_ in examples.FROM_URN2]
+    good = examples.example(work, "good", aslant)
     assert good["returns_within"] < 1e-14
     assert [words for _, words in good["back"]] == [words for _, words in good["forth"]]
     bad = examples.example(work, "bad", (*examples.FROM_URN2, examples.PASSER))

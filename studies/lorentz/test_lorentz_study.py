@@ -57,9 +57,9 @@ def test_discs_are_apart_and_the_channel_is_not_closed(columns: int) -> None:
 
 def test_without_memory_two_conductors_scatter_by_the_weaker() -> None:
     """Two conductors in a ring: twice N/2 times g1 g2/(g1 + g2), here for one particle."""
-    area = math.pi - 2.0 * (0.5 * math.asin(0.15) + 0.5 * math.asin(0.1))  # without segments
+    area = math.pi - sum(math.asin(x) - x * math.sqrt(1.0 - x**2) for x in (0.15, 0.1))
     equal = lorentz.nyquist([{"radius": 0.02, "conductance": 1.5}], 0.02)
-    assert equal == pytest.approx(0.15 / (math.pi * area), rel=0.1)
+    assert equal == pytest.approx(0.15 / (math.pi * area))
     free = lorentz.nyquist([], 0.0)  # 0.3 and 0.2 instead of 0.3 twice
     assert free == pytest.approx(equal * 0.12 / 0.15)
     weak = lorentz.nyquist([{"radius": 0.02, "conductance": 1e-3}], 0.02)

@@ -5,8 +5,8 @@ from __future__ import annotations
 import csv
 from fractions import Fraction
 from itertools import combinations
+from pathlib import Path
 from types import SimpleNamespace
-from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
@@ -15,9 +15,6 @@ from postproc.study import Study
 from studies import event_log
 from studies.event_log import Circuit
 from studies.shapes import study as shapes
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 pytestmark = pytest.mark.usefixtures("theory_in_process")  # before `made`, as that is requested
 
@@ -96,6 +93,16 @@ def test_picture_shows_every_shape(made: tuple[Path, shapes.Found, Entries]) -> 
     drawn = [one.lines[0].get_ydata()[0] for one in spread.containers]
     assert drawn == [found["states"][shape][0]["chi"] for shape in shapes.LOOKS]
     assert min(drawn) > 0.5
+
+
+def test_returns_are_those_of_the_page(made: tuple[Path, shapes.Found, Entries]) -> None:
+    """Within 5 errors of the few visits; by chance w'/(w + w') of them return."""
+    with (Path(shapes.__file__).parent / "returns.csv").open(encoding="utf-8") as file:
+        page = {row["shape"]: float(row["a, w' = 0.05"].split()[0]) for row in csv.DictReader(file)}
+    for shape, (row,) in made[1]["returns"].items():
+        assert row["chance"] == pytest.approx(0.05 / 0.35)
+        error = np.sqrt(page[shape] * (1.0 - page[shape]) / row["visits"])
+        assert abs(row["return"] - page[shape]) < 5.0 * error
 
 
 def test_tables_have_every_shape(made: tuple[Path, shapes.Found, Entries]) -> None:
