@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import pytest
 
 from postproc.theory import kept as keeping
 from postproc.theory.circuit import Circuit
+from postproc.theory.gates import WINDOW
+from postproc.theory.renewal import RENEWAL
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
+
+    from postproc.theory.gates import Gate
 
 BATTERY = Circuit(1000, 7)
 
@@ -49,6 +53,12 @@ def test_who_was_asked_is_not_asked_again(place: Path) -> None:
     keeping.kept("states", Circuit(1000, 8), theory)
     assert theory.times == 3
     assert len(list(place.iterdir())) == 3
+
+
+@pytest.mark.parametrize("gate", [WINDOW, RENEWAL])
+def test_a_circuit_is_written_alike_in_each_process(gate: Gate) -> None:
+    """The place of an object in memory is not part of the question."""
+    assert f"gate={gate.name}," in repr(replace(BATTERY, gate=gate))
 
 
 @pytest.mark.parametrize(

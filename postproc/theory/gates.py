@@ -42,6 +42,10 @@ class WindowGate:
 
     name = "window"
 
+    def __repr__(self) -> str:
+        """Return the same text in each process: stored results are found by it."""
+        return self.name
+
     def share(self, threshold: ArrayLike, load: ArrayLike) -> NDArray[np.float64]:
         """Return Q(T, x) = Gamma(T, x)/(T-1)!, eq. (eqapp5); 0 for T = 0: nothing passes."""
         count, x = _as_floats(threshold, load)

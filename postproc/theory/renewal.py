@@ -149,6 +149,10 @@ class RenewalGate:
 
     name = "renewal"
 
+    def __repr__(self) -> str:
+        """Return the same text in each process: stored results are found by it."""
+        return self.name
+
     @cached_property
     def fit(self) -> dict[str, object]:
         """The fit, as written by `renewal_fit.py`."""
