@@ -127,7 +127,8 @@ def in_steps(
     It is held between, so that it saves a state each time, however short its tasks are. What is
     looked for is looked for while it stands still, and it stays so.
     """
-    while is_program(number):
+    end = time.monotonic() + PATIENCE
+    while is_program(number) and time.monotonic() < end:
         compute(process, [number], seconds)
         send([number], signal.SIGSTOP)
         if found():
@@ -719,7 +720,11 @@ def on_a_small_disk(folder: Path, size: str, step: float = 0.0) -> None:
         plan = Path(f"/proc/{numbers[0]}/cwd/out.h5.tasks/plan")
         wait_for(lambda: plan.exists() or not is_program(numbers[0]), process, 0.001)
         in_steps(process, numbers[0], step, lambda: False)
-    process.wait(PATIENCE)
+    try:
+        process.wait(PATIENCE)
+    except subprocess.TimeoutExpired:
+        kill_all(process)
+        raise
     if not (folder / "code").exists():
         pytest.skip("this system does not let us mount a small file system")
 

@@ -6,6 +6,7 @@ import os
 import shutil
 import signal
 import subprocess
+import time
 from typing import TYPE_CHECKING, Any
 
 import pytest
@@ -310,7 +311,8 @@ def is_killed_in_its_second_task(folder: Path) -> bool:
     process = start("--quiet", "case.nml", folder=folder)
     number, tasks = [process.pid], folder / "out.h5.tasks"
     wait_for((tasks / "rank_0").exists, process, 0.001)
-    while is_program(process.pid):
+    end = time.monotonic() + PATIENCE
+    while is_program(process.pid) and time.monotonic() < end:
         # Short steps, as parts of what a start and a task have taken.
         until = 1.1 * processor_seconds(number)
         wait_for(lambda least=until: processor_seconds(number) >= least, process, 0.001)
