@@ -18,9 +18,10 @@ module battery_communicator
     MPI_ADDRESS_KIND, MPI_MAX_LIBRARY_VERSION_STRING, MPI_Init, MPI_Initialized, MPI_Finalize, &
     MPI_Comm_rank, MPI_Comm_size, MPI_Comm_dup, MPI_Comm_free, MPI_Bcast, MPI_Barrier, &
     MPI_Ibarrier, MPI_Test, MPI_Allreduce, MPI_Win_allocate, MPI_Win_free, MPI_Win_lock_all, &
-    MPI_Win_unlock_all, MPI_Win_flush, MPI_Win_sync, MPI_Fetch_and_op, MPI_Get, MPI_Iprobe, MPI_Get_library_version, &
-    MPI_STATUS_IGNORE, MPI_ANY_SOURCE, MPI_ANY_TAG, MPI_Comm_split_type, MPI_COMM_TYPE_SHARED, &
-    MPI_Comm_set_errhandler, MPI_ERRORS_RETURN, MPI_ERRORS_ARE_FATAL, MPI_SUCCESS
+    MPI_Win_unlock_all, MPI_Win_flush, MPI_Win_sync, MPI_Fetch_and_op, MPI_Get, MPI_Iprobe, &
+    MPI_Get_library_version, MPI_STATUS_IGNORE, MPI_ANY_SOURCE, MPI_ANY_TAG, MPI_Comm_split_type, &
+    MPI_COMM_TYPE_SHARED, MPI_Comm_set_errhandler, MPI_ERRORS_RETURN, MPI_ERRORS_ARE_FATAL, &
+    MPI_SUCCESS
   use battery_kinds, only: dp, int64
   use battery_clocks, only: sleep_for
   use battery_error, only: error_type, fatal_error
