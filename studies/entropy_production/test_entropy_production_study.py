@@ -99,7 +99,7 @@ def test_a_selection_keeps_sums_unbiased() -> None:
         assert taken.size == 3
         assert 0 in taken
         sums.append(np.sum(values[taken] / chance))
-    assert np.mean(sums) == pytest.approx(21.0, abs=4.0 * np.std(sums) / math.sqrt(len(sums)))
+    assert np.mean(sums) == pytest.approx(21.0, abs=5.0 * np.std(sums) / math.sqrt(len(sums)))
     assert np.array_equal(selected(scores, 6, random)[0], np.arange(6))
 
 
@@ -115,7 +115,7 @@ def test_weight_of_selected_pasts_has_the_mean_of_the_weight_of_all() -> None:
     found = np.exp([channel.weigh(*window, 4, random).log_ratio[-1] for _ in range(400)])
     want = math.exp(exact.log_ratio[-1])
     assert found.std() > 0.0
-    assert found.mean() == pytest.approx(want, abs=4.0 * found.std() / math.sqrt(found.size))
+    assert found.mean() == pytest.approx(want, abs=5.0 * found.std() / math.sqrt(found.size))
 
 
 def test_number_of_selected_pasts_has_the_mean_of_the_number_of_all() -> None:
@@ -129,7 +129,7 @@ def test_number_of_selected_pasts_has_the_mean_of_the_number_of_all() -> None:
     assert tree.number(present, ages, 10**6, random)[-1] == len(pasts)
     found = np.array([tree.number(present, ages, 5, random)[-1] for _ in range(250)])
     assert found.std() > 0.0
-    assert found.mean() == pytest.approx(len(pasts), abs=4.0 * found.std() / math.sqrt(found.size))
+    assert found.mean() == pytest.approx(len(pasts), abs=5.0 * found.std() / math.sqrt(found.size))
 
 
 def test_share_of_two_pasts_is_that_of_random_pairs() -> None:
