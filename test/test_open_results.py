@@ -35,9 +35,6 @@ SCANS = {
     "list_of_one": {"threshold": "4"},
 }
 
-#: Content of results by the namelist of their run: several tests begin with the same.
-KEPT: dict[str, bytes] = {}
-
 
 def results_of(folder: Path, scan: dict[str, Any], **groups: dict[str, Any]) -> Path:
     """Run a short scan in a folder, two replicas a point."""
@@ -49,15 +46,9 @@ def results_of(folder: Path, scan: dict[str, Any], **groups: dict[str, Any]) -> 
     }
     text = namelist(**given, scan={**scan, "replicas": 2})
     (folder / "in.nml").write_text(text, encoding="utf-8")
-    path = folder / "battery.h5"
-    if (kept := KEPT.get(text)) is None:
-        done = run("--quiet", "in.nml", folder=folder)
-        assert done.returncode == 0, done.stderr
-        if "file" not in groups.get("output", {}):
-            KEPT[text] = path.read_bytes()
-    else:
-        path.write_bytes(kept)
-    return path
+    done = run("--quiet", "in.nml", folder=folder)
+    assert done.returncode == 0, done.stderr
+    return folder / "battery.h5"
 
 
 @pytest.mark.parametrize("scan", SCANS.values(), ids=SCANS)

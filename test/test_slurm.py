@@ -32,8 +32,6 @@ MPI = [
 SHORT = 40_000_000
 # Of a busy machine, seconds.
 PATIENCE = 240.0
-# As the system shows signals that wait for a process.
-USR1_OR_TERM = 1 << signal.SIGUSR1 - 1 | 1 << signal.SIGTERM - 1
 EXAMPLES = ["slurm.sh", "slurm_mpirun.sh"]
 
 
@@ -139,9 +137,7 @@ def halted(folder: Path, *names: str) -> list[int]:
             if words.startswith(f"{folder} ") and any(f"/{name}.nml" in words for name in begun):
                 found.add(one)
         program.send(list(found), signal.SIGSTOP)
-        return len(found) == 2 * len(names) and all(
-            status(one)["State"][0] == "T" for one in found
-        )
+        return len(found) == 2 * len(names) and all(state(one) == "T" for one in found)
 
     wait_for(all_stand_still, folder)
     return list(found)
@@ -151,8 +147,8 @@ def go_on(ranks: list[int], folder: Path) -> None:
     """Let ranks go on as soon as all have been told to stop (scancel itself lets them go on)."""
 
     def told(rank: int) -> bool:
-        about = status(rank)
-        return about["State"][0] != "T" or bool(int(about["ShdPnd"], 16) & USR1_OR_TERM)
+        sent = (program.has_been_sent(rank, one) for one in (signal.SIGUSR1, signal.SIGTERM))
+        return state(rank) != "T" or any(sent)
 
     wait_for(lambda: all(map(told, ranks)), folder)
     program.send(ranks, signal.SIGCONT)
@@ -167,13 +163,10 @@ def command_line(process: int) -> str:
     return f"{folder} " + " ".join(program.words_of(Path(f"/proc/{process}/cmdline")))
 
 
-def status(process: int) -> dict[str, str]:
-    """Give what the system knows of a process; of one that is gone, that it is dead."""
-    try:
-        lines = Path(f"/proc/{process}/status").read_text(encoding="utf-8").splitlines()
-    except OSError:
-        return {"State": "X", "ShdPnd": "0"}
-    return {key: value.strip() for key, _, value in (line.partition(":") for line in lines)}
+def state(process: int) -> str:
+    """Give the system's letter for what a process does; X, dead, if it is gone."""
+    words = program.words_of(Path(f"/proc/{process}/status"))
+    return words[words.index("State:") + 1] if "State:" in words else "X"
 
 
 def test_a_time_limit_is_no_end(slurm: Slurm, tmp_path: Path) -> None:
