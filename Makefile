@@ -55,6 +55,8 @@ export OMPI_ALLOW_RUN_AS_ROOT := 1
 export OMPI_ALLOW_RUN_AS_ROOT_CONFIRM := 1
 export OMPI_MCA_rmaps_base_oversubscribe := 1
 export PRTE_MCA_rmaps_default_mapping_policy := :oversubscribe
+# Not that of a Jupyter kernel.
+export MPLBACKEND := agg
 
 PREFIX  ?= /usr/local
 POSTPROC ?= 1

@@ -16,6 +16,7 @@ from postproc.study.study import NAMELISTS, ROOT
 PARTS = ("stability", "polygons", "observables", "ladder_map")  # modules here with run(study)
 
 
+@style.settings()
 def make(part: str, study: Study) -> None:
     """Make one part, and print how long it took."""
     began = time.monotonic()
@@ -29,7 +30,6 @@ def main(arguments: list[str] | None = None) -> int:
     add_options(options, ROOT / "build/accuracy", PARTS)
     given = options.parse_args(arguments)
     study = study_of(given, NAMELISTS, (ROOT / "docs", "accuracy_"))
-    style.figure()  # sets the look
     for part in chosen_parts(given, PARTS):
         make(part, study)
     return 0

@@ -73,6 +73,7 @@ def _explain(axes: Axes, lines: Sequence[tuple[str, str]]) -> None:
         axes.plot([], [], color=style.GREY, ls=dashes, lw=1.0, label=label)
 
 
+@style.settings()
 def figure_app2(files: Sequence[Results], models: Sequence[Model] = TWO) -> Figure:
     """Return the stationary current of the single urn against T/N, a panel for each N."""
     points = gather(files)
@@ -108,6 +109,7 @@ def relative_difference(current: Floats, error: Floats, expected: Floats) -> tup
     return (known - current) / known, error / np.abs(known)
 
 
+@style.settings()
 def figure_app3(files: Sequence[Results], models: Sequence[Model] = WELL_MIXED) -> Figure:
     """Return the relative difference of theory and measured current.
 
@@ -172,6 +174,7 @@ def _mark_beyond(beyond: Sequence[tuple[Axes, float, float, str]]) -> None:
         )  # fmt: skip
 
 
+@style.settings()
 def figure_app4(files: Sequence[Results], models: Sequence[Model] = TWO) -> Figure:
     """Return currents and theory divided by N, against T/N, all N in one panel."""
     points = gather(files)

@@ -48,6 +48,7 @@ def _with_tasks(files: Sequence[Results]) -> Points:
     return points.where(np.arange(points.number.size) < MOST)
 
 
+@style.settings()
 def figure_comp05(files: Sequence[Results], models: Sequence[Model] = PAIR) -> Figure:
     """Return flows and net currents against time, a panel for each point by T, eta below."""
     points = _with_tasks(files)
@@ -73,6 +74,7 @@ def figure_comp05(files: Sequence[Results], models: Sequence[Model] = PAIR) -> F
     return made
 
 
+@style.settings()
 def figure_comp06(files: Sequence[Results], models: Sequence[Model] = PAIR) -> Figure:
     """Return chi, and below it the net current of channel 2, against time, a colour for each T.
 
@@ -138,6 +140,7 @@ def _draw_histories(
         panels[1].plot(middle, mean, **look)
 
 
+@style.settings()
 def figure_comp01(files: Sequence[Results], models: Sequence[Model] = ()) -> Figure:
     """Return currents along the polarity against T/N and against chi, one mark for each w'.
 

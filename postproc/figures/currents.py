@@ -173,6 +173,7 @@ def _break(upper: Axes, lower: Axes) -> None:
         axes.plot([0, 1], [height] * 2, transform=axes.transAxes, clip_on=False, mew=0.8, **look)
 
 
+@style.settings()
 def figure_currents(
     results: Results, point: int = 0, replica: int = 0, models: Sequence[Model] = PAIR
 ) -> Figure:

@@ -96,6 +96,7 @@ def _draw_lines(axes: Axes, points: Points, lines: Sequence[Line], marks: Floats
     axes.set_xlim(borders[0], borders[-1])
 
 
+@style.settings()
 def figure_numris(files: Sequence[Results], models: Sequence[Model] = QUICK) -> Figure:
     """Return maps of chi and current, a row for each start, and of the difference of two starts.
 

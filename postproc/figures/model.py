@@ -64,6 +64,7 @@ def figure_app1(files: Sequence[Results]) -> Figure:
     return _figure(files, URN)
 
 
+@style.settings()
 def _figure(files: Sequence[Results], circuit: Circuit) -> Figure:
     snapshot = None
     if files:

@@ -237,6 +237,7 @@ def _cell(loads: Floats, measured: Floats, name: str) -> str:
     return f"{known.mean():.3f}" + (f" +- {known.std():.3f}" if name.startswith("runs") else "")
 
 
+@style.settings()
 def figure_one_channel(files: Sequence[Results], models: Sequence[Model] = PAIR) -> Figure:
     """Return a map for each plane, and below chi at one T against N w l/(8 T A)."""
     planes = sorted(

@@ -145,6 +145,7 @@ def table(found: Sequence[Lifetime], models: Sequence[Model] = ALL) -> str:
     return "\n".join(lines)
 
 
+@style.settings()
 def figure_lifetimes(files: Sequence[Results], models: Sequence[Model] = ALL) -> Figure:
     """Return lifetimes against N, a panel for each T and l: marks measured, lines the chains."""
     found = measured(files)

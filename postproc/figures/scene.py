@@ -213,6 +213,7 @@ def _legend(made: Figure, circuit: Circuit) -> None:
     made.legend(handles=handles, loc="outside lower center", ncols=4, handletextpad=0.2)
 
 
+@style.settings()
 def figure_scene(circuit: Circuit, snapshot: Snapshot) -> Figure:
     """Return the picture of a snapshot: the whole table, and channel 1 enlarged."""
     made = style.figure(style.PAGE, 4.6)

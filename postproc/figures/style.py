@@ -1,4 +1,7 @@
-"""Common style of all pictures: sizes, colours for colour-blind readers, PNG and PDF."""
+"""Common style of all pictures: sizes, colours for colour-blind readers, PNG and PDF.
+
+What makes, changes or writes a picture does it within `settings`, a context and a decorator.
+"""
 
 from __future__ import annotations
 
@@ -6,6 +9,7 @@ import logging
 from typing import TYPE_CHECKING
 
 import matplotlib as mpl
+import matplotlib.style
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.patheffects import Normal, Stroke
@@ -14,6 +18,7 @@ from matplotlib.ticker import MaxNLocator
 from postproc.cli import InputError, output_folder
 
 if TYPE_CHECKING:
+    from contextlib import AbstractContextManager
     from pathlib import Path
 
     from matplotlib.axes import Axes
@@ -33,6 +38,10 @@ BROWN = "#7A4A1E"
 OLIVE = "#808000"
 VIOLET = "#6A3D9A"
 NAVY = "#1B2A6B"
+COLOURS = {
+    "vermilion": VERMILION, "orange": ORANGE, "brown": BROWN, "olive": OLIVE, "purple": PURPLE,
+    "violet": VIOLET, "navy": NAVY,
+}  # fmt: skip
 CYCLE = (BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY)
 
 COLUMN = 3.4  # width of one column of the journal, inches
@@ -68,14 +77,18 @@ SETTINGS = {
 logging.getLogger("fontTools").setLevel(logging.ERROR)
 
 
+def settings() -> AbstractContextManager[None]:
+    """Draw with this style alone, whatever matplotlibrc says; afterwards all is as before."""
+    return mpl.style.context(["default", SETTINGS])
+
+
 def colour(name: str) -> str:
-    """Return a colour of this module by its name in small letters."""
-    return globals()[name.upper()]
+    """Return a colour of the models by its name."""
+    return COLOURS[name]
 
 
 def figure(width: float = PAGE, height: float = 3.2) -> Figure:
-    """Return an empty figure of that size in inches, with the package's look."""
-    mpl.rcParams.update(SETTINGS)
+    """Return an empty figure of that size in inches."""
     made = Figure(figsize=(width, height), layout="constrained")
     FigureCanvasAgg(made)
     return made
@@ -100,12 +113,14 @@ def label_fraction(axes: Axes) -> None:
     axes.xaxis.set_major_locator(MaxNLocator(5))
 
 
+@settings()
 def note(axes: Axes, text: str) -> None:
     """Write a small remark below the axes, on the right, e.g. that a run is partial."""
     if text:
         axes.figure.supxlabel(text, x=0.995, ha="right", fontsize=6.5, color=GREY)
 
 
+@settings()
 def save(made: Figure, folder: Path, name: str) -> list[Path]:
     """Write `name`.png and `name`.pdf into `folder`, print and return their paths."""
     output_folder(folder)

@@ -11,6 +11,7 @@ import contourpy
 import f90nml
 import numpy as np
 
+from postproc.cli import InputError
 from postproc.figures.maps import edges
 from postproc.progress import each
 from postproc.reading.points import gather
@@ -243,7 +244,7 @@ def _with_error(value: float, error: float) -> str:
 def series_of(results: Results) -> tuple[Floats, Columns]:
     """Return times, and (N1 - N2)/N and net current of all tasks one after the other, thinned.
 
-    Nothing if the run has no series. If there are too many, only those of the first replicas.
+    Nothing if the run has no series, or is shorter than their interval. If there are too many, only those of the first replicas.
     """
     if not results.has("series/time"):
         return np.empty(0), {}
@@ -254,7 +255,11 @@ def series_of(results: Results) -> tuple[Floats, Columns]:
     spread = np.full((results.points, results.replicas, chosen.size), np.nan, np.float32)
     current = spread.copy()
     for point, replica in np.argwhere(results.done)[: ROOM // samples]:
-        one, number = results.series(int(point), int(replica)), results.value("number")[point]
+        try:
+            one = results.series(int(point), int(replica))
+        except InputError:  # shorter than the interval
+            continue
+        number = results.value("number")[point]
         flows = one.flows["flow1_12"] - one.flows["flow1_21"]
         past = np.searchsorted(one.time, time[chosen], side="left")
         past = np.minimum(past, one.time.size - 1)
@@ -264,6 +269,8 @@ def series_of(results: Results) -> tuple[Floats, Columns]:
         )
         means = _block_means(flows, past)
         current[point, replica] = np.where(reached, means, np.nan)
+    if not np.isfinite(spread).any():
+        return np.empty(0), {}
     return rounded(time[chosen]), {"spread": spread.ravel(), "current": current.ravel()}
 
 

@@ -362,6 +362,7 @@ def _lines(scan: Scan, models: dict[str, Model]) -> str:
     return f"Lines, {what}: {named}."
 
 
+@style.settings()
 def _picture(circuit: Circuit) -> str:
     """Return the table to scale as a PNG in base 64."""
     made = style.figure(style.PAGE, 2.6)

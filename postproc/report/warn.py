@@ -203,8 +203,8 @@ def _of_series(results: Results, point: int) -> list[str]:
     for replica in np.flatnonzero(results.done[point]):
         try:
             series = results.series(point, int(replica))
-        except InputError:
-            return []
+        except InputError:  # none, or shorter than the interval
+            continue
         if results.shape == "circuit" and drifts(np.abs(number - 2 * series.urn1_number) / number):
             moving.append(str(replica + 1))
     if not moving:

@@ -219,6 +219,7 @@ def main(
     )  # fmt: skip
     add_options(options, ROOT / "build" / place.name, [*run] if isinstance(run, Mapping) else ())
 
+    @style.settings()
     def call(words: list[str] | None) -> int:
         given = options.parse_args(words)
         study = study_of(given, place, (place, ""))

@@ -201,6 +201,24 @@ def test_report_of_the_single_urn(tmp_path: Path) -> None:
     assert call("report", [str(path), "--output", str(tmp_path)]) == 0
 
 
+def test_a_run_shorter_than_its_series_interval_has_a_page(tmp_path: Path) -> None:
+    output = {"series_interval": 20.0, "snapshot_times": None}
+    path = results_of(tmp_path / "run.h5", run={"duration": 5.0}, output=output)
+    assert call("report", [str(path), "--output", str(tmp_path), "--model", "window"]) == 0
+    assert "series_spread" not in (tmp_path / "run.html").read_text()
+    # Tasks of one file differ in length if their collisions are given.
+    length = {"duration": None, "collisions": 60000, "transient_collisions": 0}
+    path = results_of(
+        tmp_path / "two.h5", run=length, particles={"number": None}, output=output,
+        scan={"number": [100, 20000], "replicas": 1},
+    )  # fmt: skip
+    assert call("report", [str(path), "--output", str(tmp_path), "--model", "window"]) == 0
+    with Results(path) as results:
+        time, columns = data.series_of(results)
+    known = np.isfinite(columns["spread"].reshape(2, time.size)).any(axis=1)
+    assert known.tolist() == [True, False]
+
+
 def test_replicas_that_disagree_are_noticed() -> None:
     errors = np.full(4, 0.01)
     assert warn.disagreement(np.array([0.5, 0.51, 0.49, 0.5]), errors) > 0.1
