@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import importlib
 import math
 import os
 import sys
@@ -13,6 +14,7 @@ from postproc import progress
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
+    from types import ModuleType
 
 EXIT_BAD_INPUT = 2
 COMMAND = "battery-postproc"  # all commands as one, where the package is installed
@@ -76,6 +78,16 @@ def add_task(options: argparse.ArgumentParser) -> None:
     for key, meaning in (("point", "parameter point"), ("replica", "replica")):
         help_text = f"{meaning}, from 1 (default: the first done)"
         options.add_argument(f"--{key}", type=integer(1), help=help_text)
+
+
+def extra(name: str, module: str) -> ModuleType:
+    """Import a module that needs packages of the extra `name`; raise `InputError` without them."""
+    try:
+        return importlib.import_module(module)
+    except ModuleNotFoundError as problem:
+        raise InputError(
+            f"{problem.name} is missing: pip install 'battery-postproc[{name}]'"
+        ) from problem
 
 
 def existing_file(path: Path) -> Path:

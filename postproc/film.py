@@ -11,7 +11,7 @@ from __future__ import annotations
 import sys
 
 from postproc import cli
-from postproc.figures.film import CLOSE, SECONDS, frames, joined, read_scenes, write_gif, write_mp4
+from postproc.figures.film import CLOSE, SECONDS, joined, read_scenes, write
 from postproc.reading.results import Results
 
 
@@ -35,7 +35,7 @@ def main(arguments: list[str] | None = None) -> int:
         )
     folder = cli.output_folder(given.output)
     path = folder / ("film.gif" if given.gif else "film.mp4")
-    (write_gif if given.gif else write_mp4)(frames(scenes, given.seconds), path)
+    write(scenes, given.seconds, path)
     print(path)
     return 0
 

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
+import logging
 import subprocess
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import TYPE_CHECKING
 
-import imageio_ffmpeg
+import matplotlib as mpl
 import numpy as np
+from matplotlib.animation import FFMpegWriter, PillowWriter
 from matplotlib.patches import Rectangle
 from matplotlib.path import Path as Outline
-from PIL import Image
 
 from postproc import cli
 from postproc.figures import style
@@ -22,7 +22,7 @@ from postproc.reading.results import Results, Snapshot
 from postproc.theory import outlines
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from pathlib import Path
 
     from matplotlib.figure import Figure
     from numpy.typing import NDArray
@@ -35,10 +35,14 @@ if TYPE_CHECKING:
 SECONDS = 30.0  # longest film
 RATE = 25  # frames a second
 DOTS = 100  # dots per inch
+ENCODED = ["-preset", "veryfast", "-crf", "23", "-pix_fmt", "yuv420p", "-movflags", "+faststart"]
 CLOSE = 0.6  # snapshots closer than this in time are joined by straight flight
 FLASH = 6  # frames that a flash lasts
 LONGEST_FLASH = 0.5  # longest flash in simulated time
 HALVINGS = 20  # bisections of a flight, to find its end at a wall
+
+# it repeats what ffmpeg says of an error, which is in ours
+logging.getLogger("matplotlib.animation").setLevel(logging.ERROR)
 
 
 @dataclass
@@ -206,6 +210,8 @@ class Stage:
             artist.set_animated(True)
         self.figure.canvas.draw()
         self.background = self.figure.canvas.copy_from_bbox(self.figure.bbox)
+        # Writers of films call this; all but the moving artists stays as it is drawn.
+        self.figure.savefig = lambda file, **_: file.write(self.figure.canvas.buffer_rgba())
 
     def _draw_histories(self, below: object) -> None:
         scenes = self.scenes
@@ -233,8 +239,8 @@ class Stage:
         below.set_xlim(*shown)
         below.set_xlabel("time $t$  (length / $v$)")
 
-    def show(self, time: float, flash_time: float) -> NDArray[np.uint8]:
-        """Return the frame at `time` as pixels, shape (height, width, 3)."""
+    def show(self, time: float, flash_time: float) -> None:
+        """Draw the frame at `time`."""
         scenes = self.scenes
         index = int(np.searchsorted(scenes.times, time + 1e-12, side="right")) - 1
         index = min(max(index, 0), len(scenes.snapshots) - 1)
@@ -262,44 +268,24 @@ class Stage:
         canvas.restore_region(self.background)
         for artist in self.moving:
             artist.axes.draw_artist(artist)
-        return np.array(canvas.buffer_rgba())[..., :3]
 
 
-def frames(scenes: Scenes, seconds: float) -> Iterator[NDArray[np.uint8]]:
-    """Yield the frames of a film of at most `seconds`."""
-    stage = Stage(scenes)
-    times = frame_times(scenes.times, seconds)
+@style.settings()
+def write(scenes: Scenes, seconds: float, path: Path) -> None:
+    """Write a film of at most `seconds`, an MP4 (H.264) or a GIF, which has every second frame."""
+    stage, times = Stage(scenes), frame_times(scenes.times, seconds)
     flash_time = min(FLASH * float(np.diff(times).max()), LONGEST_FLASH)
-    for time in each(times, "frame"):
-        yield stage.show(float(time), flash_time)
-
-
-def write_mp4(pictures: Iterator[NDArray[np.uint8]], path: Path) -> None:
-    """Write frames to an MP4 file (H.264) through ffmpeg."""
-    first = next(pictures)
-    height, width = (size - size % 2 for size in first.shape[:2])
-    command = [imageio_ffmpeg.get_ffmpeg_exe(), "-y", "-loglevel", "error", "-f", "rawvideo"]
-    command += ["-pix_fmt", "rgb24", "-s", f"{width}x{height}", "-r", str(RATE), "-i", "-"]
-    command += ["-c:v", "libx264", "-preset", "veryfast", "-crf", "23", "-pix_fmt", "yuv420p"]
-    command += ["-movflags", "+faststart", str(path)]
-    process = subprocess.Popen(command, stdin=subprocess.PIPE, stderr=subprocess.PIPE)
+    if path.suffix == ".gif":
+        times, writer = times[::2], PillowWriter(fps=RATE / 2)
+    else:
+        ffmpeg = cli.extra("film", "imageio_ffmpeg")
+        mpl.rcParams["animation.ffmpeg_path"] = ffmpeg.get_ffmpeg_exe()
+        writer = FFMpegWriter(fps=RATE, codec="libx264", extra_args=ENCODED)
     try:
-        process.stdin.write(np.ascontiguousarray(first[:height, :width]).tobytes())
-        for picture in pictures:
-            process.stdin.write(np.ascontiguousarray(picture[:height, :width]).tobytes())
-    except BrokenPipeError:
-        pass
-    _, error = process.communicate()
-    if process.returncode:
-        reason = error.decode().strip().splitlines() or ["ffmpeg failed"]
-        raise cli.InputError(f"cannot write {path}: {reason[-1]}")
-
-
-def write_gif(pictures: Iterator[NDArray[np.uint8]], path: Path) -> None:
-    """Write every second frame to a GIF file."""
-    images = [
-        Image.fromarray(np.ascontiguousarray(picture)).quantize(64, dither=Image.Dither.NONE)
-        for at, picture in enumerate(pictures)
-        if at % 2 == 0
-    ]
-    images[0].save(path, save_all=True, append_images=images[1:], duration=2000 // RATE, loop=0)
+        with writer.saving(stage.figure, path, DOTS):
+            for time in each(times, "frame"):
+                stage.show(float(time), flash_time)
+                writer.grab_frame()
+    except subprocess.CalledProcessError as problem:
+        *_, reason = (problem.stderr.strip() or "ffmpeg failed").splitlines()
+        raise cli.InputError(f"cannot write {path}: {reason}") from problem

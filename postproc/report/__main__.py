@@ -12,7 +12,6 @@ from pathlib import Path
 from postproc import cli
 from postproc.figures.models import add_models, named
 from postproc.reading.results import Results
-from postproc.report.page import page
 
 DEFAULT = ("window", "renewal")  # the paper's, and the exact rule of the gate
 
@@ -26,7 +25,7 @@ def main(arguments: list[str] | None = None) -> int:
     given = options.parse_args(arguments)
     models = {one.name: one for one in named(given.model or DEFAULT)}
     with Results(given.file) as results:
-        text = page(results, models)
+        text = cli.extra("report", "postproc.report.page").page(results, models)
         results.say_if_partial()
     path = cli.output_folder(given.output) / f"{given.file.stem}.html"
     try:

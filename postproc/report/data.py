@@ -244,7 +244,8 @@ def _with_error(value: float, error: float) -> str:
 def series_of(results: Results) -> tuple[Floats, Columns]:
     """Return times, and (N1 - N2)/N and net current of all tasks one after the other, thinned.
 
-    Nothing if the run has no series, or is shorter than their interval. If there are too many, only those of the first replicas.
+    Nothing if the run has no series, or is shorter than their interval. If there are too many, only
+    those of the first replicas.
     """
     if not results.has("series/time"):
         return np.empty(0), {}

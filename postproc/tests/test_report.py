@@ -300,12 +300,25 @@ def test_film_has_all_its_frames(kind: str, filmed: Path, tmp_path: Path) -> Non
             assert picture.n_frames == 5
 
 
+@pytest.mark.parametrize("kind", ["mp4", "gif"])
+def test_a_film_that_cannot_be_written(
+    kind: str, filmed: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / f"film.{kind}").mkdir()
+    options = [str(filmed), "--output", str(tmp_path), "--seconds", "0.2"]
+    assert call("film", options + (["--gif"] if kind == "gif" else [])) == 2
+    (line,) = capsys.readouterr().err.strip().splitlines()
+    assert f"film.{kind}: " in line
+    assert "directory" in line
+
+
 def test_a_frame_shows_its_moment(filmed: Path) -> None:
     with Results(filmed) as results:
         scenes = film.read_scenes(results, 0, 0)
     stage = film.Stage(scenes)
-    pixels = stage.show(5.25, 0.1)
-    assert pixels.shape == (480, 800, 3)
+    stage.show(5.25, 0.1)
+    pixels = np.array(stage.figure.canvas.buffer_rgba())
+    assert pixels.shape == (480, 800, 4)
     assert stage.title.get_text().startswith("$t = 5.25$    $T = 7$    $N_1 = ")
     assert stage.now.get_xdata() == [5.25, 5.25]
     x, y = film.flown(scenes.circuit, scenes.snapshots[10], 0.25)
@@ -314,7 +327,8 @@ def test_a_frame_shows_its_moment(filmed: Path) -> None:
     assert below.get_xlim() == (0.0, 10.0)
     assert below.get_ylabel() == r"mass spread $\chi$"
     assert right.get_ylabel() == "net current 2\n(per unit time)"
-    assert not np.array_equal(pixels, stage.show(9.0, 0.1))
+    stage.show(9.0, 0.1)
+    assert not np.array_equal(pixels, stage.figure.canvas.buffer_rgba())
 
 
 def test_no_frame_shows_a_time_without_its_particles() -> None:

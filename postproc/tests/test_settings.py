@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import matplotlib as mpl
 import pytest
 
-from postproc.figures import currents, maps, model, models, scene, style
+from postproc.figures import currents, film, maps, model, models, scene, style
 from postproc.reading.results import opened
 from postproc.report import page
 from postproc.tests.runs import results_of
@@ -52,11 +52,13 @@ def pictures(file: Path, folder: Path) -> dict[str, bytes]:
             "currents": currents.figure_currents(results, 0, 0, window),
             "scene": scene.figure_scene(circuit, snapshot),
         }
+        film.write(film.read_scenes(results, 0, 0), 0.2, folder / "film.gif")
         style.note(made["scene"].axes[0], "partial run")
         found = {}
         for name, one in made.items():
             for path in style.save(one, folder, name):
                 found[path.name] = path.read_bytes()
+        found["film"] = (folder / "film.gif").read_bytes()
         found["page"] = page._picture(circuit).encode()
     return found
 
