@@ -259,7 +259,7 @@ install: prefix information $(PROGRAM) ## program, library, man page, module fil
 	python3 -m venv "$$prefix/lib/battery"
 	install $(ASKED:%=$(BUILT)/bin/%) "$$prefix/lib/battery/bin"
 	"$$prefix/lib/battery/bin/python" -m pip install --quiet --disable-pip-version-check \
-	  --upgrade --constraint postproc/requirements.txt .
+	  --upgrade --constraint postproc/requirements.txt '.[report,film]'
 	ln -sf ../lib/battery/bin/battery-postproc "$$prefix/bin"
 	echo "battery-postproc is in $$prefix/bin"
 

@@ -1,113 +1,69 @@
-"""Progress of slow computations, on standard error once a command has taken more than 3 s.
+"""Progress of slow computations, on a terminal once a command has taken more than 3 s.
 
 A slow computation is marked by `doing`, or iterates over its parts with `each`; both can be nested.
-A command that `cli.run` calls has a thread that prints all current computations as one line: on a
-terminal in place, every second, and removed at the end; elsewhere a line after 3, 6, 12, 24 ... s,
-so that a log of hours has a dozen. Nothing is printed if a module is called from other Python code.
+Nothing is shown where standard error is no terminal, or of what other Python code calls.
 """
 
 from __future__ import annotations
 
-import shutil
 import sys
 import threading
-import time
 from contextlib import contextmanager
-from dataclasses import dataclass
-from typing import IO, TYPE_CHECKING, TypeVar
+from contextvars import ContextVar
+from typing import TYPE_CHECKING, TypeVar
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Callable, Iterator, Sequence
+
+    from rich.progress import Progress
 
     One = TypeVar("One")
 
-SILENT = 3.0  # seconds before the first line
-AGAIN = 1.0  # seconds from one line to the next on a terminal
-ERASED = "\r\x1b[K"
-
-
-@dataclass(eq=False)
-class Part:
-    """A current computation.
-
-    Attributes
-    ----------
-    what : description of the computation.
-    total : number of its parts, if known; then `what` describes one of them.
-    done : number of finished parts.
-    """
-
-    what: str
-    total: int | None = None
-    done: int = 0
-
-    def __str__(self) -> str:
-        """Return the description with the progress."""
-        return self.what if self.total is None else f"{self.what} {self.done + 1} of {self.total}"
-
-
-_under_way: list[Part] = []
-_writing = threading.Lock()  # held while a line is written or removed
-_on_screen = threading.Event()  # whether a terminal shows one
+SILENT = 3.0  # seconds before anything is shown
+_shown: ContextVar[Progress | None] = ContextVar("shown", default=None)  # by the current command
 
 
 @contextmanager
-def doing(what: str, total: int | None = None) -> Iterator[Part]:
-    """Report a computation until the block ends; the block may increase `done` of the part."""
-    part = Part(what, total)
-    _under_way.append(part)
+def doing(what: str, total: int | None = None) -> Iterator[Callable[[], object]]:
+    """Show a computation until the block ends; the block calls what it gets after each part."""
+    progress = _shown.get()
+    if progress is None:
+        yield lambda: None
+        return
+    task = progress.add_task(what, total=total)
     try:
-        yield part
+        yield lambda: progress.advance(task)
     finally:
-        _under_way.remove(part)
-        with _writing:
-            if not _under_way and _on_screen.is_set():
-                _on_screen.clear()
-                _write(sys.stderr, ERASED)
+        progress.remove_task(task)
 
 
 def each(things: Sequence[One], what: str) -> Iterator[One]:
-    """Yield the items and report which of how many is computed; `what` describes one."""
-    with doing(what, len(things)) as part:
+    """Yield the items and show how many are done; `what` describes one."""
+    with doing(what, len(things)) as advance:
         for one in things:
             yield one
-            part.done += 1
+            advance()
 
 
 @contextmanager
 def told() -> Iterator[None]:
-    """Report current computations as long as the block lasts."""
-    over = threading.Event()
-    teller = threading.Thread(target=_report, args=(over, sys.stderr), daemon=True)
-    teller.start()
+    """Show current computations as long as the block lasts."""
+    if not sys.stderr.isatty():
+        yield
+        return
+    from rich.console import Console  # noqa: PLC0415 (takes a tenth of a second)
+    from rich.progress import Progress  # noqa: PLC0415
+
+    # What is printed goes where it would go without.
+    progress = Progress(console=Console(stderr=True), transient=True, redirect_stdout=False,
+                        redirect_stderr=False)  # fmt: skip
+    start = threading.Timer(SILENT, progress.start)
+    start.start()
+    before = _shown.set(progress)
     try:
         yield
     finally:
-        over.set()
-        teller.join()
-
-
-def _report(over: threading.Event, stream: IO[str]) -> None:
-    began, pause, terminal = time.monotonic(), SILENT, stream.isatty()
-    while not over.wait(pause):
-        passed = time.monotonic() - began
-        pause = AGAIN if terminal else passed
-        with _writing:
-            line = ": ".join(map(str, list(_under_way)))
-            if not line:
-                continue
-            line = f"{passed:.0f} s: {line}"
-            if terminal:
-                columns = shutil.get_terminal_size().columns - 1
-                _write(stream, f"{ERASED}{line[:columns]}")
-                _on_screen.set()
-            else:
-                _write(stream, f"{line}\n")
-
-
-def _write(stream: IO[str], text: str) -> None:
-    try:
-        stream.write(text)
-        stream.flush()
-    except (OSError, ValueError):  # the output is closed
-        pass
+        _shown.reset(before)
+        start.cancel()
+        start.join()
+        progress.stop()

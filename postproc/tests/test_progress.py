@@ -1,4 +1,4 @@
-"""Progress: told to standard error, of what takes long, and nowhere else."""
+"""Progress: shown on a terminal, of what takes long, and nowhere else."""
 
 from __future__ import annotations
 
@@ -11,20 +11,6 @@ import pytest
 from postproc import cli, progress
 
 
-@pytest.fixture(autouse=True)
-def _hasty(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(progress, "SILENT", 0.02)
-    monkeypatch.setattr(progress, "AGAIN", 0.02)
-
-
-def wait_for(stream: io.StringIO, text: str) -> None:
-    """Wait until a text was told; a test that hangs is ended by its patience."""
-    until = time.monotonic() + 20.0
-    while text not in stream.getvalue():
-        assert time.monotonic() < until, stream.getvalue()
-        time.sleep(0.005)
-
-
 class Screen(io.StringIO):
     """A terminal."""
 
@@ -33,39 +19,51 @@ class Screen(io.StringIO):
         return True
 
 
-@pytest.mark.parametrize("stream", [io.StringIO(), Screen()])
-def test_all_that_is_under_way_is_told_and_how_far(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], stream: io.StringIO
+def slow(_: object) -> int:
+    """Compute in parts until the second is shown, for at most 20 s on a terminal."""
+    until = time.monotonic() + (20.0 if sys.stderr.isatty() else 0.2)
+    for point in progress.each([1, 2, 3, 4], "point"):
+        with progress.doing("theory"):
+            while point == 2 and time.monotonic() < until:
+                shown = sys.stderr.getvalue()
+                if all(text in shown for text in ("point", " 25%", "theory")):
+                    break
+                time.sleep(0.005)
+    print("answer")
+    return 0
+
+
+def test_all_that_is_under_way_is_shown_and_gone_at_the_end(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """On a terminal it is gone when the command ends; what is piped as data has none of it."""
+    stream = Screen()
     monkeypatch.setattr(sys, "stderr", stream)
-
-    def slow(_: object) -> int:
-        for point in progress.each([1, 2, 3], "point"):
-            with progress.doing("theory"):
-                if point == 2:
-                    wait_for(stream, " s: point 2 of 3: theory")
-        print("answer")
-        return 0
-
+    monkeypatch.setenv("TERM", "xterm")
+    monkeypatch.setattr(progress, "SILENT", 0.02)
     assert cli.run(slow) == 0
     assert capsys.readouterr().out == "answer\n"
-    assert stream.getvalue().endswith(progress.ERASED if stream.isatty() else ": theory\n")
+    assert " 25%" in stream.getvalue()
+    assert stream.getvalue().endswith("\x1b[2K\x1b[?25h\r")  # erased, with the cursor back
+    with progress.doing("theory"):  # called from Python
+        time.sleep(0.1)
+    assert stream.getvalue().endswith("\x1b[2K\x1b[?25h\r")
 
 
-def test_nothing_is_told_of_what_is_quick_or_called_from_python(
+@pytest.mark.parametrize(("stream", "silent"), [(io.StringIO(), 0.02), (Screen(), 60.0)])
+def test_nothing_is_shown_in_a_log_or_of_what_is_quick(
+    monkeypatch: pytest.MonkeyPatch, stream: io.StringIO, silent: float
+) -> None:
+    monkeypatch.setattr(sys, "stderr", stream)
+    monkeypatch.setattr(progress, "SILENT", silent)
+    assert cli.run(lambda _: sum(progress.each([0], "point"))) == 0
+    assert "point" not in stream.getvalue()
+
+
+def test_a_computation_that_fails_is_not_under_way_any_more(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    stream = io.StringIO()
-    monkeypatch.setattr(sys, "stderr", stream)
-    with progress.doing("theory"):
-        time.sleep(0.1)
-    monkeypatch.setattr(progress, "SILENT", 60.0)
-    assert cli.run(lambda _: sum(progress.each([0], "point"))) == 0
-    assert stream.getvalue() == ""
-
-
-def test_a_computation_that_fails_is_not_under_way_any_more() -> None:
-    with pytest.raises(ZeroDivisionError), progress.doing("theory"):
-        _ = [1 // one for one in progress.each([0], "point")]
-    assert progress._under_way == []
+    monkeypatch.setattr(sys, "stderr", Screen())
+    with progress.told():
+        with pytest.raises(ZeroDivisionError), progress.doing("theory"):
+            _ = [1 // one for one in progress.each([0], "point")]
+        assert progress._shown.get().tasks == []

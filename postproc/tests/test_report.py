@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import shutil
+import sys
 from typing import TYPE_CHECKING
 
 import f90nml
@@ -310,6 +311,18 @@ def test_a_film_that_cannot_be_written(
     (line,) = capsys.readouterr().err.strip().splitlines()
     assert f"film.{kind}: " in line
     assert "directory" in line
+
+
+@pytest.mark.parametrize(("command", "package"), [("report", "bokeh"), ("film", "imageio_ffmpeg")])
+def test_without_an_extra_its_command_says_how_to_install_it(
+    command: str, package: str, filmed: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:  # fmt: skip
+    monkeypatch.setitem(sys.modules, package, None)
+    monkeypatch.delitem(sys.modules, "postproc.report.page", raising=False)
+    assert call(command, [str(filmed), "--output", str(tmp_path)]) == 2
+    install = f"pip install 'battery-postproc[{command}]'"
+    assert capsys.readouterr().err == f"error: {package} is missing: {install}\n"
 
 
 def test_a_frame_shows_its_moment(filmed: Path) -> None:

@@ -326,7 +326,7 @@ def scan(circuit: Circuit) -> tuple[tuple[float, Held], ...]:
         shares = [*(1.0 - one for one in reversed(shares)), *shares]
     found: list[tuple[float, Held]] = []
     tries = NEARER
-    with doing("directions, share", len(shares)) as part:
+    with doing("directions, share", len(shares)) as advance:
         while shares and tries:
             held = equations.held(shares[0], found[-1][1] if found else None)
             if held.possible:
@@ -335,7 +335,7 @@ def scan(circuit: Circuit) -> tuple[tuple[float, Held], ...]:
                 shares, tries = [0.5 * (found[-1][0] + shares[0])], tries - 1
             else:
                 shares.pop(0)
-            part.done = min(part.done + 1, part.total - 1)
+            advance()
     return tuple(found)
 
 
