@@ -85,8 +85,9 @@ def extra(name: str, module: str) -> ModuleType:
     try:
         return importlib.import_module(module)
     except ModuleNotFoundError as problem:
+        package = str(problem.name).partition(".")[0]
         raise InputError(
-            f"{problem.name} is missing: pip install 'battery-postproc[{name}]'"
+            f"{package} is missing: pip install 'battery-postproc[{name}]'"
         ) from problem
 
 
