@@ -5,7 +5,6 @@ from __future__ import annotations
 import difflib
 import json
 import os
-import re
 import shutil
 import signal
 import subprocess
@@ -271,15 +270,14 @@ def _keys(program: Path) -> dict[str, tuple[str, ...]]:
     """Return the names of all groups, and of the keys of each, as the program lists them."""
     try:
         done = subprocess.run(
-            [str(program), "--help"], check=False, text=True, errors="replace",
-            stdin=subprocess.DEVNULL, capture_output=True,
-        )  # fmt: skip
+            [str(program), "--schema"], check=False, stdin=subprocess.DEVNULL, capture_output=True
+        )
+        groups = json.loads(done.stdout)["properties"]
+        return {group: tuple(keys["properties"]) for group, keys in groups.items()}
     except OSError as problem:
         raise InputError(f"{program}: {problem.strerror}") from problem
-    groups = re.findall(r"^&(\w+)\n((?:  .*\n)*)/$", done.stdout, re.M)
-    if done.returncode or not groups:
-        raise InputError(f"{program}: --help lists no groups of a namelist: is it battery?")
-    return {group: tuple(re.findall(r"^  (\w+)", keys, re.M)) for group, keys in groups}
+    except (ValueError, LookupError, TypeError) as problem:
+        raise InputError(f"{program}: --schema prints no schema: is it battery?") from problem
 
 
 def _values(

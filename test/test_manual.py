@@ -186,7 +186,7 @@ def test_a_public_name_without_a_word_is_found(tmp_path: Path) -> None:
 
 @pytest.mark.full
 def test_every_key_has_a_snippet_that_the_program_takes(tmp_path: Path) -> None:
-    keys = reference.all_keys(ROOT / "build/bin/battery", ROOT / "src/run/keys.f90")
+    keys = reference.all_keys(ROOT / "build/bin/battery")
     assert len(keys) > 40
     text = reference.input_table(keys)
     assert text.count("```fortran") == len(keys)

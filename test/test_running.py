@@ -184,7 +184,7 @@ def test_a_program_that_is_not_there_is_named(tmp_path: Path) -> None:
         postproc.run(CASE, program=other)
     other.write_text("#!/bin/sh\necho hello\n", encoding="utf-8")
     other.chmod(0o755)
-    with pytest.raises(ValueError, match=f"{other}: --help lists no groups"):
+    with pytest.raises(ValueError, match=f"{other}: --schema prints no schema"):
         postproc.write_namelist(None, CASE, program=other)
     with pytest.raises(ValueError, match="no-launcher: No such file"):
         postproc.run(CASE, ranks=2, launcher=["no-launcher"], folder=tmp_path)

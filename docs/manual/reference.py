@@ -141,7 +141,7 @@ def generated(root: Path, folder: Path) -> tuple[dict[str, str], list[str]]:
     A run in `folder` writes a results file with all datasets.
     """
     program = root / "build/bin/battery"
-    keys = all_keys(program, root / "src/run/keys.f90")
+    keys = all_keys(program)
     (folder / "everything.nml").write_text(EVERYTHING)
     subprocess.run([program, "--quiet", "--overwrite", "everything.nml"], cwd=folder, check=True)
     results = folder / "everything.h5"
@@ -180,13 +180,10 @@ def completed(text: str) -> str:
     return str(f90nml.Namelist(groups)) + "\n"
 
 
-def all_keys(program: Path, source: Path) -> list[Key]:
-    """Return all keys in their order: from `--schema`, or `--help` and the list in the source."""
-    schema = said(program, "--schema")
-    if not schema.lstrip().startswith("{"):
-        return _from_help(said(program, "--help"), source.read_text(encoding="utf-8"))
+def all_keys(program: Path) -> list[Key]:
+    """Return all keys in their order, from `--schema`."""
     found = []
-    for group, keys in json.loads(schema)["properties"].items():
+    for group, keys in json.loads(said(program, "--schema"))["properties"].items():
         for name, entry in keys["properties"].items():
             parts = re.split("; (unit|in the paper|default): ", entry["description"])
             of = dict(zip(parts[1::2], parts[2::2], strict=True))
@@ -207,25 +204,6 @@ def said(program: Path, option: str) -> str:
     return subprocess.run(
         [program, option], check=False, text=True, stdin=subprocess.DEVNULL, capture_output=True
     ).stdout
-
-
-def _from_help(help_text: str, source: str) -> list[Key]:
-    text = re.sub(r" *&\n *", " ", source)
-    found, group = [], ""
-    for line in help_text.splitlines():
-        if match := re.match(r"&(\w+)$", line):
-            group = match[1]
-        elif match := re.match(r"  (\w+) +(\S+) +! (.*)$", line):
-            name, default = match[1], "" if match[2] == "none" else match[2]
-            own = re.search(rf"key_type\('\w+', '{name.removesuffix('_range')}', .*?\)[,\]]", text)
-            unit, symbol = (_argument(own[0] if own else "", word) for word in ("unit", "symbol"))
-            found.append(Key(group, name, default, *_meaning_and_allowed(match[3]), unit, symbol))
-    return found
-
-
-def _argument(call: str, word: str) -> str:
-    match = re.search(rf"{word}='((?:[^']|'')*)'", call)
-    return match[1].replace("''", "'") if match else ""
 
 
 def input_table(keys: list[Key]) -> str:
