@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from matplotlib.ticker import MaxNLocator
 
+from postproc.cli import InputError
 from postproc.figures import style
 from postproc.figures.currents import (
     binned,
@@ -15,6 +16,7 @@ from postproc.figures.currents import (
     explain_eta,
     settled_number2,
 )
+from postproc.figures.maps import common_circuit
 from postproc.figures.models import PAIR, best, spread_and_current
 from postproc.reading.points import gather
 from postproc.reading.results import Results
@@ -150,6 +152,9 @@ def figure_comp01(files: Sequence[Results], models: Sequence[Model] = ()) -> Fig
     """
     models = models or best()
     points = gather(files)
+    common_circuit(files, points)
+    if np.unique(points.start).size > 1:
+        raise InputError("figure comp01 needs runs of one start")
     made = style.figure(style.PAGE, 3.4)
     left, right = made.subplots(1, 2, sharey=True)
     for at, width in enumerate(np.unique(points.channel2_width)):

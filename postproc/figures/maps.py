@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -26,14 +27,17 @@ if TYPE_CHECKING:
     Floats = NDArray[np.float64]
     Line = tuple[Floats, Floats, str, str]
 
-POLARISED = 0.5  # starts with chi above this are called polarised
-
 
 def grid(points: Points, values: Floats) -> tuple[Floats, Floats, Floats]:
-    """Return T, w' and `values` as a map, shape (w', T), NaN where there is no point."""
+    """Return T, w' and `values` as a map, shape (w', T), NaN where there is no point.
+
+    Raises `InputError` if two points have the same place.
+    """
     thresholds, columns = np.unique(points.threshold, return_inverse=True)
     widths, rows = np.unique(points.channel2_width, return_inverse=True)
     filled = np.full((widths.size, thresholds.size), np.nan)
+    if len(set(zip(rows, columns, strict=True))) < values.size:
+        raise cli.InputError("two points have the same T, w' and start: a map shows one")
     filled[rows, columns] = values
     return thresholds, widths, filled
 
@@ -48,10 +52,20 @@ def edges(centres: Floats) -> Floats:
 
 
 def by_start(points: Points) -> list[tuple[str, Points]]:
-    """Return the points that began homogeneous, and those that began polarised, if any."""
-    polarised = points.start > POLARISED
-    parts = [(r"$\chi(0) = 0$", ~polarised), (r"$\chi(0) = 1$", polarised)]
-    return [(name, points.where(chosen)) for name, chosen in parts if chosen.any()]
+    """Return the points of each chi(0), by increasing chi(0), with a title."""
+    return [
+        (rf"$\chi(0) = {start:.3g}$", points.where(points.start == start))
+        for start in np.unique(points.start)
+    ]
+
+
+def common_circuit(files: Sequence[Results], points: Points) -> Circuit:
+    """Return the circuit of the first point; raise `InputError` if more than T and w' varies."""
+    places = zip(points.file, points.point, strict=True)
+    circuits = [files[file].circuit(int(point)) for file, point in places]
+    if len({replace(one, threshold=0, channel2_width=0.0) for one in circuits}) > 1:
+        raise cli.InputError("this figure needs runs that differ in T, w' and start alone")
+    return circuits[0]
 
 
 def _draw(axes: Axes, points: Points, values: Floats, look: dict[str, object]) -> object:
@@ -104,12 +118,10 @@ def figure_numris(files: Sequence[Results], models: Sequence[Model] = QUICK) -> 
     the polarity reverses in a run.
     """
     points = gather(files)
-    if np.unique(points.number).size > 1 or np.unique(points.channel1_width).size > 1:
-        raise cli.InputError("figure numris needs runs of one N and one w")
-    circuit = files[0].circuit(0)
+    circuit = common_circuit(files, points)
     lines, marks = transition_lines(points, circuit, models), tricritical_places(circuit, models)
     starts = by_start(points)
-    rows = len(starts) + (len(starts) > 1)
+    rows = len(starts) + (len(starts) == 2)
     made = style.figure(style.PAGE, 0.5 + 2.35 * rows)
     panels = made.subplots(rows, 2, squeeze=False, sharex=True, sharey=True)
     most = float(np.nanmax(points.along))
@@ -124,7 +136,7 @@ def figure_numris(files: Sequence[Results], models: Sequence[Model] = QUICK) -> 
             _draw_lines(axes, part, lines, marks)
             made.colorbar(mesh, ax=axes, label=label, pad=0.02)
             axes.set_title(f"{name}")
-    if len(starts) > 1:
+    if len(starts) == 2:
         _draw_differences(made, panels[-1], starts, lines, marks, looks)
     for axes in panels[-1]:
         style.label_fraction(axes)
@@ -143,8 +155,8 @@ def _draw_differences(
     marks: Floats,
     looks: list[tuple[str, str, dict[str, object]]],
 ) -> None:
-    """Draw the result of the polarised start minus that of the homogeneous start."""
-    (_, one), (_, other) = starts
+    """Draw the result of the more polarised start minus that of the other."""
+    (name, one), (other_name, other) = starts
     places = [list(zip(part.threshold, part.channel2_width, strict=True)) for part in (one, other)]
     pairs = [(places[0].index(key), at) for at, key in enumerate(places[1]) if key in places[0]]
     if not pairs:
@@ -160,4 +172,4 @@ def _draw_differences(
         mesh = _draw(axes, common, difference, look)
         _draw_lines(axes, common, lines, marks)
         made.colorbar(mesh, ax=axes, label=f"difference of\n{label}", pad=0.02)
-        axes.set_title(r"$\chi(0) = 1$ less $\chi(0) = 0$")
+        axes.set_title(f"{other_name} less {name}")

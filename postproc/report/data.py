@@ -35,7 +35,7 @@ KEYS = (
 SYMBOLS = {"number": "N", "threshold": "T", "channel1_width": "w", "channel2_width": "w'"}
 THRESHOLDS = ("threshold", "threshold_fraction")
 WIDTH = "channel2_width"
-MEASURED = {"chi": "mass spread chi", "current": "polarised current"}
+MEASURED = {"chi": "mass spread chi", "current": "net current"}
 SAMPLES = (20, 300)  # least and most samples of a series on the page
 ROOM = 250_000  # samples of all series together
 
@@ -114,6 +114,8 @@ def points_of(results: Results, scan: Scan, models: dict[str, Model]) -> Columns
         if key:
             values, at = np.unique(scan.keys[key], return_inverse=True)
             borders = edges(values.astype(float))
+            if key not in THRESHOLDS:  # the cell of T = 0 begins below it
+                borders = np.maximum(borders, 0.0)
             columns[low], columns[high] = borders[at], borders[at + 1]
     for name in MEASURED:
         columns[f"{name}_low"] = columns[name] - columns[f"{name}_error"]
@@ -166,7 +168,7 @@ def map_lines(results: Results, scan: Scan, models: dict[str, Model]) -> Columns
 
 def dash(model: Model) -> str:
     """Return the library's name of a model's dashes."""
-    return {"--": "dashed", ":": "dotted"}.get(model.dashes, "solid")
+    return {"--": "dashed", ":": "dotted", "-.": "dashdot"}.get(model.dashes, "solid")
 
 
 def _own_axes(scan: Scan) -> bool:
@@ -288,7 +290,7 @@ def namelist_of_point(results: Results, scan: Scan) -> str:
     text = results.attributes["namelist"]
     try:
         groups = f90nml.reads(text)
-    except Exception:  # the program accepts more than this reader: then the whole text
+    except Exception:  # of any class, where the program accepts more than this reader
         return text
     group = groups.get("scan", {})
     for key in list(group):

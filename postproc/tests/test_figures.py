@@ -330,6 +330,30 @@ def test_a_theory_without_a_transition_has_no_line(folder: Path) -> None:
     assert line[3] == both[1].label
 
 
+@pytest.mark.usefixtures("unwritten")
+def test_points_that_differ_in_more_than_a_figure_shows_are_refused(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    scan = {"threshold": [2, 7], "channel1_length": [1.0, 2.0], "replicas": 1}
+    results_of(tmp_path / "long.h5", scan=scan, run={"duration": 20.0}, output=BARE)
+    both = [str(folder / f"{name}.h5") for name in ("homogeneous", "polarised")]
+    for name, *given in (
+        ("numris", str(tmp_path / "long.h5")), ("comp01", str(tmp_path / "long.h5")),
+        ("numris", both[0], both[0]), ("comp01", *both),
+    ):  # fmt: skip
+        assert call("figures", [name, *given, "--model", "window"]) == 2, (name, given)
+        assert capsys.readouterr().err.count("\n") == 1
+
+
+def test_each_start_has_its_maps_and_title(tmp_path: Path) -> None:
+    scan = {"threshold": [2, 7], "urn1_fraction": [0.5, 0.6, 1.0], "replicas": 1}
+    path = results_of(tmp_path / "starts.h5", scan=scan, run={"duration": 20.0}, output=BARE)
+    with opened([path]) as files:
+        made = maps.figure_numris(files, models.named(["window"]))
+    titles = [axes.get_title("left") for axes in made.axes]
+    assert titles[:6:2] == [rf"$\chi(0) = {chi}$" for chi in ("0", "0.2", "1")]
+
+
 def test_map_has_each_value_in_its_cell(folder: Path) -> None:
     with Results(folder / "homogeneous.h5") as results:
         gathered = points.gather([results])

@@ -76,6 +76,7 @@ def test_columns_say_what_the_file_says(run_file: Path) -> None:
         scan = data.scanned(results)
         assert (scan.across, scan.up, scan.others) == ("threshold", "channel2_width", {})
         columns = data.points_of(results, scan, {"window": MODELS["window"]})
+        assert (min(columns["left"]), min(columns["bottom"])) == (2.0, 0.0)  # w' has no negative
         for key, values in scan.keys.items():
             assert values == pytest.approx(results.value(key))
         assert columns["chi"] == pytest.approx(results.replica_mean("chi")[0], rel=1e-4)
@@ -318,7 +319,8 @@ def test_without_an_extra_its_command_says_how_to_install_it(
     command: str, package: str, filmed: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:  # fmt: skip
-    monkeypatch.setitem(sys.modules, package, None)
+    for name in [package, *(one for one in sys.modules if one.startswith(f"{package}."))]:
+        monkeypatch.setitem(sys.modules, name, None)
     monkeypatch.delitem(sys.modules, "postproc.report.page", raising=False)
     assert call(command, [str(filmed), "--output", str(tmp_path)]) == 2
     install = f"pip install 'battery-postproc[{command}]'"
