@@ -236,6 +236,7 @@ build/stamps/docs: docs/requirements.txt build/stamps/python
 lint: build/stamps/python ## style of the Fortran and the Python sources
 	@$(VENV)/bin/fortitude check --output-format concise src app test docs
 	$(VENV)/bin/ruff check --config postproc/ruff.toml postproc test docs studies
+	$(VENV)/bin/ruff format --check --config postproc/ruff.toml postproc test docs studies
 
 install: prefix information $(PROGRAM) ## program, library, man page, module file, Python side (not: POSTPROC=0) into PREFIX (default: /usr/local)
 	@prefix=$$(realpath -m -- "$(PREFIX)")

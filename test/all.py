@@ -59,8 +59,8 @@ def parts(arguments: argparse.Namespace) -> list[Part]:
     # linker. What users run is tested by the Python tests in any case.
     release = [f"--library={arguments.built}", f"--library-flags={arguments.release}",
                f"--library-ldflags={arguments.release_link}"]
-    style = [str(TOOLS / "ruff"), "check", "--config", "postproc/ruff.toml"]
-    style += ["postproc", "test", "docs", "studies"]
+    ruff = str(TOOLS / "ruff")
+    sources = ["--config", "postproc/ruff.toml", "postproc", "test", "docs", "studies"]
     # A file goes to one worker, so that what its tests share is made once.
     python = [sys.executable, "-m", "pytest", "-q", "-n", WORKERS, "--dist", "loadfile"]
     if not arguments.full:
@@ -78,7 +78,8 @@ def parts(arguments: argparse.Namespace) -> list[Part]:
             [str(TOOLS / "fortitude"), "check", "--output-format", "concise", *folders],
             lint=True,
         ),
-        Part("style of the Python sources", style, lint=True),
+        Part("style of the Python sources", [ruff, "check", *sources], lint=True),
+        Part("format of the Python sources", [ruff, "format", "--check", *sources], lint=True),
         Part("Fortran, debug build with traps, then the library that make has built",
              [*debug, *release]) if arguments.full
         else Part("Fortran, debug build with traps", debug),
