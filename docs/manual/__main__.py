@@ -104,8 +104,11 @@ def write_api() -> tuple[dict[str, list[str]], list[str]]:
         files = sorted((ROOT / "postproc" / layer).rglob("*.py"))
         files = files or [ROOT / f"postproc/{layer}.py"]
         if layer == "commands":
-            files = [path for path in sorted((ROOT / "postproc").glob("*.py"))
-                     if path.stem not in layers()["postproc"]]
+            files = [
+                path
+                for path in sorted((ROOT / "postproc").glob("*.py"))
+                if path.stem not in layers()["postproc"]
+            ]
         problems += [one for path in files for one in python.unexplained(path)]
         names["Python"].append(f"python_{layer}")
         text = python.page(layer, meaning, files, ROOT)

@@ -114,8 +114,14 @@ class Fences:
         self, command: list[str], environment: dict[str, str] = ENVIRONMENT
     ) -> subprocess.CompletedProcess[str]:
         return subprocess.run(
-            command, check=False, cwd=self.folder, env=environment, text=True, timeout=PATIENCE,
-            stdin=subprocess.DEVNULL, capture_output=True,
+            command,
+            check=False,
+            cwd=self.folder,
+            env=environment,
+            text=True,
+            timeout=PATIENCE,
+            stdin=subprocess.DEVNULL,
+            capture_output=True,
         )
 
     def _shell(self, body: str) -> tuple[list[str], str]:
@@ -188,14 +194,22 @@ class Fences:
         return self._missing(paths, folder)
 
     def _missing(self, words: list[str], folder: Path) -> list[str]:
-        return [f"there is no {one}" for one in words
-                if "/" in one and not one.startswith("-") and not PLACEHOLDER.search(one)
-                and not (folder / one.split(":")[0]).exists()]
+        return [
+            f"there is no {one}"
+            for one in words
+            if "/" in one
+            and not one.startswith("-")
+            and not PLACEHOLDER.search(one)
+            and not (folder / one.split(":")[0]).exists()
+        ]
 
     def _make(self, words: list[str]) -> list[str]:
         makefile = (self.root / "Makefile").read_text()
-        return [f"make has no {one}" for one in words
-                if "=" not in one and not re.search(rf"^{re.escape(one)}:", makefile, re.MULTILINE)]
+        return [
+            f"make has no {one}"
+            for one in words
+            if "=" not in one and not re.search(rf"^{re.escape(one)}:", makefile, re.MULTILINE)
+        ]
 
     def _module(self, words: list[str], folder: Path) -> list[str]:
         """Check options against the help of a module or of its subcommand."""
@@ -213,8 +227,14 @@ class Fences:
         name = " ".join(words)
         if name not in self.helps:
             done = subprocess.run(
-                [sys.executable, "-m", *words, "--help"], check=False, cwd=folder, text=True,
-                env=ENVIRONMENT, stdin=subprocess.DEVNULL, capture_output=True, timeout=PATIENCE,
+                [sys.executable, "-m", *words, "--help"],
+                check=False,
+                cwd=folder,
+                text=True,
+                env=ENVIRONMENT,
+                stdin=subprocess.DEVNULL,
+                capture_output=True,
+                timeout=PATIENCE,
             )
             self.helps[name] = done.stdout if done.returncode == 0 else ""
         return self.helps[name]

@@ -68,8 +68,12 @@ def read_module(path: Path) -> Module | None:
     at = next((at for at, (line, _) in enumerate(lines) if re.match(r"module \w+$", line)), None)
     if at is None:
         return None
-    public = [name for line, _ in lines[at:] if re.match(r"  public ::", line)
-              for name in re.findall(r"\w+", line.split("::")[1])]
+    public = [
+        name
+        for line, _ in lines[at:]
+        if re.match(r"  public ::", line)
+        for name in re.findall(r"\w+", line.split("::")[1])
+    ]
     found: dict[str, Name] = {}
     for name in _all_names(lines[at + 1 :]):
         found.setdefault(name.name, name)
@@ -135,8 +139,11 @@ def _add_part(here: Name, line: str, note: str, wanted: list[str]) -> None:
 def unexplained(module: Module) -> list[str]:
     """Return the public names of a module that have no explanation."""
     missing = [] if module.note else [f"{module.path}: {module.name}"]
-    missing += [f"{module.path}: {one.name}" for one in module.names
-                if not one.note and one.kind != "constant"]
+    missing += [
+        f"{module.path}: {one.name}"
+        for one in module.names
+        if not one.note and one.kind != "constant"
+    ]
     return missing
 
 

@@ -123,8 +123,11 @@ def linked(root: Path, source: Path, file: str, text: str) -> tuple[str, list[st
         shutil.copyfile(root / place, source / name)
         return f"{match[1]}{name}{match[3]}"
 
-    problems += [f"{file}: there is no {match[1]}" for match in PATH.finditer(_prose(text))
-                 if not (root / match[1]).exists()]
+    problems += [
+        f"{file}: there is no {match[1]}"
+        for match in PATH.finditer(_prose(text))
+        if not (root / match[1]).exists()
+    ]
     return _outside_code(text, lambda part: LINK.sub(moved, part)), problems
 
 

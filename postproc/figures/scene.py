@@ -81,9 +81,7 @@ def _walls_of_polygons(circuit: Circuit) -> list[NDArray[np.float64]]:
     return lines
 
 
-def gate_of(
-    circuit: Circuit, x: NDArray[np.float64], y: NDArray[np.float64]
-) -> NDArray[np.int_]:
+def gate_of(circuit: Circuit, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.int_]:
     """Return the gate that contains each particle: 1, 2, or 0 for none; shape (particle,)."""
     inside = np.abs(x) <= 0.5 * circuit.channel1_length
     if circuit.outline is not None:  # an urn may reach over the channel

@@ -114,8 +114,7 @@ def compare_circuit(files: Sequence[Results], model: Model) -> Comparison:
         raise cli.InputError("no point has a mass spread chi to compare")
     polarised, upper = known.chi > POLARISED, _upper(known)
     circuits = [
-        files[file].circuit(int(point))
-        for file, point in zip(known.file, known.point, strict=True)
+        files[file].circuit(int(point)) for file, point in zip(known.file, known.point, strict=True)
     ]
     cases = list(zip(circuits, known.chi, strict=True))
     expected = [expected_state(model, *one) for one in each(cases, f"{model.label}, point")]

@@ -160,9 +160,7 @@ def _of_replicas(results: Results, point: int) -> list[str]:
         values, errors = results.value(name)[point], results.value(f"{name}_error")[point]
         if disagreement(np.abs(values), errors) < UNLIKELY:
             listed = ", ".join(f"{abs(value):.4g}" for value in values if np.isfinite(value))
-            found.append(
-                f"the {text} of the replicas ({listed}) disagree beyond their own errors."
-            )
+            found.append(f"the {text} of the replicas ({listed}) disagree beyond their own errors.")
     return found
 
 
