@@ -35,6 +35,8 @@ def doing(what: str, total: int | None = None) -> Iterator[Callable[[], object]]
         yield lambda: progress.advance(task)
     finally:
         progress.remove_task(task)
+        if not progress.tasks:  # or what is printed next would be erased with it
+            progress.refresh()
 
 
 def each(things: Sequence[One], what: str) -> Iterator[One]:

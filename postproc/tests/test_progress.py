@@ -33,17 +33,23 @@ def slow(_: object) -> int:
     return 0
 
 
+@pytest.mark.parametrize("answer", [io.StringIO(), None])
 def test_all_that_is_under_way_is_shown_and_gone_at_the_end(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    monkeypatch: pytest.MonkeyPatch, answer: io.StringIO | None
 ) -> None:
+    """Nothing is erased of an answer on the same terminal."""
     stream = Screen()
     monkeypatch.setattr(sys, "stderr", stream)
+    monkeypatch.setattr(sys, "stdout", answer or stream)
     monkeypatch.setenv("TERM", "xterm")
     monkeypatch.setattr(progress, "SILENT", 0.02)
     assert cli.run(slow) == 0
-    assert capsys.readouterr().out == "answer\n"
+    if answer:
+        assert answer.getvalue() == "answer\n"
+    else:
+        assert "\x1b[1A" not in stream.getvalue().partition("answer\n")[2]
     assert " 25%" in stream.getvalue()
-    assert stream.getvalue().endswith("\x1b[2K\x1b[?25h\r")  # erased, with the cursor back
+    assert stream.getvalue().endswith("\x1b[2K\x1b[?25h\r")  # with the cursor back
     with progress.doing("theory"):  # called from Python
         time.sleep(0.1)
     assert stream.getvalue().endswith("\x1b[2K\x1b[?25h\r")
