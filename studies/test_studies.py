@@ -11,12 +11,8 @@ DOORS = ("postproc.study", "postproc.figures.style")
 # theories that these compare with runs, and rungs of the ladder
 MORE = {
     "circulation": ("postproc.theory",),
-    "circulation_and_densities": ("postproc.theory",),
-    "entropy_production": ("postproc.theory",),
     "experiments": ("postproc.accuracy.predictions", "postproc.theory"),
-    "fluctuations": ("postproc.theory",),
     "narrow_channels": ("postproc.theory",),
-    "order_of_transition": ("postproc.theory",),
     "paper_statements": ("postproc.theory",),
     "where_models_fail": ("postproc.accuracy", "postproc.theory"),
 }
