@@ -87,9 +87,10 @@ def test_links_lead_within_the_site(tmp_path: Path) -> None:
 def test_pages_can_do_without_studies(tmp_path: Path) -> None:
     """Where they are deleted, links to them are text, and no caption of the side bar is empty."""
     (tmp_path / "docs").mkdir()
-    text = "[a](../studies/no_such/README.md#b), ![c](../studies/no.png), `studies/no_such/x.csv`"
+    gone = "studies"  # the name alone: nothing else here knows a study
+    text = f"[a](../{gone}/no/README.md#b), ![c](../{gone}/no.png), `{gone}/no/x.csv`"
     changed, problems = pages.linked(tmp_path, tmp_path, "docs/validation.md", text)
-    assert (changed, problems) == ("a, c, `studies/no_such/x.csv`", [])
+    assert (changed, problems) == (f"a, c, `{gone}/no/x.csv`", [])
     assert pages.contents(tmp_path, {}, {}) == "\n"
     _, problems = pages.linked(ROOT, tmp_path, "docs/validation.md", text)
     assert len(problems) == 3
