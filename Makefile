@@ -195,7 +195,7 @@ $(PRECISIONS:%=build/bin/accuracy-%): build/bin/accuracy-real%: FORCE | librarie
 
 accuracy: build probes build/stamps/python ## the speed-accuracy charts and the stability tables; FULL=1: long runs
 	@$(PYTHON) -m postproc.accuracy --ranks $(RANKS) $(if $(filter-out 0,$(FULL)),--full)
-	for study in trajectories gated_reversal tail; do
+	for study in trajectories gated_reversal; do
 	  $(PYTHON) -m studies.$$study.study --ranks $(RANKS) $(if $(filter-out 0,$(FULL)),--full)
 	done
 

@@ -37,14 +37,12 @@ class Circulations:
     time : time of the passage.
     sign : 1 from urn 2 to urn 1, the direction of the net current, else -1.
     rounds : number of rounds of the particle without a wall hit in an urn; 0: not straight.
-    slope : |u_y/u_x| of passages straight from the middle of channel 1, NaN of the others.
     all_rounds : the rounds at each event of `ParticleEvents`, shape (event,).
     """
 
     time: Floats
     sign: NDArray[np.int64]
     rounds: NDArray[np.int64]
-    slope: Floats
     all_rounds: NDArray[np.int64]
 
 
@@ -76,12 +74,10 @@ def circulations(events: ParticleEvents, circuit: Circuit) -> Circulations:
     rounds = np.zeros(events.time.size, int)
     for place in np.flatnonzero(straight):
         rounds[passes[place]] = 1 + (rounds[first[place]] if round_before[place] else 0)
-    slope = np.sqrt(np.clip((flight / shortest) ** 2 - 1.0, 0.0, None))
-    slope = np.where(straight, slope, math.nan)
     sign = np.where(events.where[passes] == 21, 1, -1)
     order = np.argsort(events.time[passes], kind="stable")
     order = order[events.time[passes[order]] > TRANSIENT]
-    columns = (events.time[passes], sign, rounds[passes], slope)
+    columns = (events.time[passes], sign, rounds[passes])
     return Circulations(*(column[order] for column in columns), rounds)
 
 

@@ -21,8 +21,8 @@ if TYPE_CHECKING:
 def theory_in_process() -> Iterator[None]:
     """Let `Study.theory` call its command in this process: another one takes 1.3 s to start.
 
-    The options and the JSON are those of the command line. That it starts a process is left to the
-    test of studies/tail.
+    The options and the JSON are those of the command line. That it starts a process is left to
+    studies/common/test_circulations.py.
     """
 
     def run(command: Sequence[str], **_: object) -> subprocess.CompletedProcess[str]:

@@ -14,7 +14,7 @@ import sys
 import time
 from pathlib import Path
 
-from manual import fortran, numbers, pages, python, reference
+from manual import fortran, pages, python, reference
 from manual.fences import Fences
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -39,7 +39,6 @@ def main() -> int:
         if text != before:
             (ROOT / file).write_text(text, encoding="utf-8")
             print(f"{file}: its generated part was written anew")
-        problems += numbers.unsourced(ROOT, file, pages.filled(text, dict.fromkeys(made, "")))
         dry = "--dry" in sys.argv[1:]
         fences = Fences(ROOT, WORK / name, SOURCE / f"drawn_{name}", dry)
         text, wrong = pages.linked(ROOT, SOURCE, file, text)

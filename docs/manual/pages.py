@@ -30,6 +30,8 @@ PAGES = {
         "theory": "docs/theory.md",
         "figures": "docs/figures.md",
         "paper": "docs/paper.md",
+        "validation": "docs/validation.md",
+        "open_questions": "docs/open_questions.md",
         "scatterers": "docs/scatterers.md",
         "accuracy": "docs/accuracy.md",
     },
@@ -96,6 +98,8 @@ def contents(root: Path, api: dict[str, list[str]], there: dict[str, str]) -> st
              for caption, part in parts(root).items()}  # fmt: skip
     lines = []
     for caption, names in (found | api).items():
+        if not names:
+            continue  # studies may be deleted
         lines += ["", "```{toctree}", ":hidden:", f":caption: {caption}", "", *names, "```"]
     return "\n".join(lines) + "\n"
 
@@ -103,8 +107,10 @@ def contents(root: Path, api: dict[str, list[str]], there: dict[str, str]) -> st
 def linked(root: Path, source: Path, file: str, text: str) -> tuple[str, list[str]]:
     """Return a page with its links changed to the site's, and the links that are broken.
 
-    A link to a file of the checkout that is not a page is changed to a copy of the file.
+    A link to a file of the checkout that is not a page is changed to a copy of the file. Where the
+    folder of studies is deleted, links to it become their text.
     """
+    gone = () if (root / "studies").is_dir() else ("studies/",)
     names = {place: name for name, place in pages(root).items()}
     problems = []
 
@@ -115,6 +121,8 @@ def linked(root: Path, source: Path, file: str, text: str) -> tuple[str, list[st
         place = os.path.normpath(PurePosixPath(file).parent / target)
         if place in names:
             return f"{match[1]}{names[place]}.md{'#' + anchor if anchor else ''}{match[3]}"
+        if place.startswith(gone):
+            return match[1].removeprefix("!")[1:-2]
         if not (root / place).is_file():
             problems.append(f"{file}: the link to {match[2]} leads nowhere")
             return match[0]
@@ -126,7 +134,7 @@ def linked(root: Path, source: Path, file: str, text: str) -> tuple[str, list[st
     problems += [
         f"{file}: there is no {match[1]}"
         for match in PATH.finditer(_prose(text))
-        if not (root / match[1]).exists()
+        if not ((root / match[1]).exists() or match[1].startswith(gone))
     ]
     return _outside_code(text, lambda part: LINK.sub(moved, part)), problems
 

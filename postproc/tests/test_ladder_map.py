@@ -122,25 +122,6 @@ def test_errors_cancel_where_a_finer_rung_is_farther_off() -> None:
     assert ladder_errors.cancelling(within, "chi") == []
 
 
-def test_no_theory_is_superseded() -> None:
-    """Somewhere on the map each is nearer in chi than each that costs less, but for the dear."""
-    quick = [model for model in MODELS.values() if model.seconds < 0.05]
-    off = {}
-    for model in quick:
-        found = [
-            ladder.ask(model, replace(ladder.BATTERY, threshold=threshold, channel2_width=width))[0]
-            for width, threshold, _ in KEPT["points"]
-        ]
-        off[model.name] = np.abs(np.array(found) - KEPT["chi"])
-    nearer = {
-        (one.name, other.name): int((off[one.name] < off[other.name]).sum())
-        for at, one in enumerate(quick) for other in quick[:at]
-    }  # fmt: skip
-    assert min(nearer.values()) > 0
-    assert nearer["renewal_occupation", "renewal"] == 16
-    assert min(count for (name, _), count in nearer.items() if name == "renewal_chain") == 19
-
-
 def test_theories_are_asked_at_every_point() -> None:
     asked = []
 

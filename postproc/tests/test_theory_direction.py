@@ -289,20 +289,3 @@ def test_lifetimes_command_takes_every_theory(capsys: pytest.CaptureFixture[str]
     assert call("lifetimes", ["--number", "380", "--threshold", "1", "2"]) == 2
     replaced = replace(Circuit(380, 1), gate2_threshold=1)
     assert replaced.alike
-
-
-@pytest.mark.parametrize(("width", "off"), [(0.01, 0.02), (0.03, 0.05)])
-def test_walls_send_by_the_cosine_law_where_all_is_filled_evenly(width: float, off: float) -> None:
-    """Open gates, equal urns: `POLYNOMIALS` blur what comes straight from channel 2."""
-    circuit = MODELS["direction"].of(Circuit(1000, 1000, channel2_width=width))
-    walls = direction.from_walls(circuit, direction.Directions(circuit).held(0.5))
-    slopes = np.array([0.0, 0.03, 0.06, 0.1, 0.2, 1.0])
-    assert walls(0, slopes) == pytest.approx(np.ones(6), abs=off)
-
-
-def test_walls_of_the_sparse_urn_send_half_as_much_along_the_axis() -> None:
-    """0.52 +- 0.03 by how often circulations make a first round in runs, T = 7, w' = 0.01."""
-    circuit = MODELS["direction"].of(Circuit(1000, 7))
-    walls = direction.from_walls(circuit, direction.most_polarised(circuit))
-    assert np.all(np.abs(walls(0, np.array([0.0, 0.03, 0.06])) - 0.55) < 0.06)
-    assert np.all(np.abs(walls(1, np.array([0.0, 0.03, 0.06])) - 1.0) < 0.03)

@@ -332,17 +332,6 @@ def test_error_of_what_circulates_is_the_scatter_of_other_particles() -> None:
     assert (root.circulating_current, root.net_current_error) == pytest.approx(found[0], rel=1e-6)
 
 
-def test_walls_send_what_they_are_said_to() -> None:
-    """Half as much along the axis: half as many come from walls through channel 1."""
-    sent, share = (np.array([1.0, 20.0]), np.array([0.1, 1.0])), np.array([0.9, 0.2])
-    halved = circulation.Straight(PAPER, *sent, share, walls=lambda _, slope: 0.5 + 0.0 * slope)
-    usual = circulation.Straight(PAPER, *sent, share)
-    found, expected = (
-        one.begun(1, np.random.default_rng(3))[3].sum(axis=1) for one in (halved, usual)
-    )
-    assert found == pytest.approx(expected * np.array([1.0, 0.5, 0.5]), rel=1e-12)
-
-
 @pytest.mark.parametrize("model", ["two_port", "direction"])
 def test_circulations_fill_up_with_the_age_of_a_run(
     model: str, capsys: pytest.CaptureFixture[str]

@@ -46,7 +46,7 @@ from scipy import special
 from postproc.theory import fate
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
+    from collections.abc import Iterator, Sequence
 
     from numpy.typing import ArrayLike, NDArray
 
@@ -56,7 +56,6 @@ if TYPE_CHECKING:
     Floats = NDArray[np.float64]
     Integers = NDArray[np.int64]
     Flags = NDArray[np.bool_]
-    Walls = Callable[[int, Floats], Floats]
 
 SAMPLES = 2**16  # particles that are put into channel 2 from each urn
 GROUPS = 16  # of particles, whose scatter gives the error
@@ -82,20 +81,18 @@ class Straight:
     entries, across : e and f, outflows of urns 1 and 2 into channels 1 and 2 per unit time.
     share : q of the shortest stay, of both gates.
     seed : of the particles drawn; another one draws others.
-    walls : what the walls of an urn (0, 1) send into channel 1 at each slope, over the cosine law;
-        None: by that law.
     """
 
     def __init__(
         self, circuit: Circuit, entries: Floats, across: Floats, share: Floats, *,
-        seed: int = FIRST, walls: Walls | None = None,
+        seed: int = FIRST,
     ) -> None:  # fmt: skip
         """Prepare the lengths and shares for following particles."""
         self.widths = float(circuit.channel1_width), float(circuit.channel2_width)
         self.lengths = float(circuit.channel1_length), float(circuit.channel2_length)
         self.distance = np.array([float(sum(one.chords)) for one in circuit.sides])
         self.threshold = np.array([int(one.threshold) for one in circuit.sides])
-        self.entries, self.share, self.seed, self.walls = entries, share, seed, walls
+        self.entries, self.share, self.seed = entries, share, seed
         self.into_gate = entries / (2.0 * self.widths[0])
         self.in_channel = across / (2.0 * self.widths[1])
 
@@ -163,10 +160,7 @@ class Straight:
         ):
             came = _folded(mouth - shift, width1) - slope * self.distance[urn]
             from_wall = on_line & (np.abs(came) >= 0.5 * width2)
-            sent = chance * self.into_gate[urn]
-            if self.walls is not None:
-                sent = sent * self.walls(urn, slope)
-            weights.append(np.where(from_wall, sent, 0.0) * volume)
+            weights.append(np.where(from_wall, chance * self.into_gate[urn], 0.0) * volume)
         return place, slope, volume, np.array(weights)
 
     def rounds(

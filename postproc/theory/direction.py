@@ -37,7 +37,7 @@ from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy import integrate, linalg, optimize
+from scipy import linalg, optimize
 
 from postproc.progress import doing
 from postproc.theory import fate, ports
@@ -53,13 +53,11 @@ if TYPE_CHECKING:
 
     from numpy.typing import ArrayLike, NDArray
 
-    from postproc.theory.circulation import Walls
 
     Floats = NDArray[np.float64]
 
 POLYNOMIALS = 12
 DIFFUSION = 1.0 / 6.0 - 1.0 / math.pi**2  # D of narrow openings, in (w/r)^2 per visit
-BEAM = 2001  # places in s at which what comes straight from channel 2 is taken
 NARROWEST = 1e-6  # width of channel 2, in radii, that represents a closed one
 ROUNDS = 80  # at most, of the iteration of gates and flows
 AGREED = 1e-5  # change of q, and of flows relative to the largest, at which it ends
@@ -399,38 +397,6 @@ def around(
     urns = [ports.disc(side) for side in circuit.sides]
     flows = held.entries[:, 0], held.across[:, 0]
     return circulating(circuit, urns, *flows, age, seed=seed)
-
-
-def from_walls(circuit: Circuit, held: Held) -> Walls:
-    """Return what walls of an urn send into channel 1 along a line, over the cosine law's e/(2w).
-
-    By urn (0, 1) and slope. F, less what comes straight from channel 2, the share of H of the other
-    urn that meets channel 1; of all lines at that slope those that come from there are left out.
-    Density in place is taken as even, and a beam as `POLYNOMIALS` show it.
-    """
-    width1, width2 = float(circuit.channel1_width), float(circuit.channel2_width)
-
-    def common(urn: int, slope: Floats) -> Floats:
-        """Return the width in which channel 2, shifted by an urn's way across, meets channel 1."""
-        shift = slope * float(sum(circuit.sides[urn].chords))
-        upper = np.minimum(0.5 * width1, 0.5 * width2 + shift)
-        return np.maximum(upper - np.maximum(-0.5 * width1, shift - 0.5 * width2), 0.0)
-
-    expansions = []
-    for urn in (0, 1):
-        steepest = 0.5 * (width1 + width2) / float(sum(circuit.sides[urn].chords))
-        sine = np.linspace(0.0, steepest / math.hypot(1.0, steepest), BEAM)
-        basis = polynomials(sine)
-        sent = np.maximum(held.across[1 - urn] @ basis, 0.0)
-        beam = common(urn, sine / np.sqrt(1.0 - sine**2)) / max(width2, 1e-300) * sent
-        straight = integrate.simpson(basis * beam, x=sine)
-        expansions.append((held.entries[urn] - straight) / held.entries[urn, 0])
-
-    def walls(urn: int, slope: Floats) -> Floats:
-        along = expansions[urn] @ polynomials(slope / np.sqrt(1.0 + slope**2))
-        return np.maximum(along, 0.0) / (1.0 - common(urn, slope) / width1)
-
-    return walls
 
 
 def stationary_states(circuit: Circuit) -> list[State]:

@@ -94,7 +94,7 @@ def figure(rows: list[dict[str, object]]) -> Figure:
         axes.set_title(title, fontsize=10)
         axes.axhline(0.0, color="0.7", lw=0.7, zorder=0)
     panels[0].set_ylabel("off from its value at the end (%)")
-    panels[0].set_ylim(-8.0, 2.0)
+    panels[0].set_ylim(-10.5, 2.0)
     panels[1].legend(fontsize=8)
     return made
 

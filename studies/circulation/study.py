@@ -14,7 +14,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy import special
 
 import postproc
 from postproc import study
@@ -213,38 +212,14 @@ def by_rounds(rates: Floats, decay: float, rounds: Floats) -> float:
     return float(circulation.filled(rates[1] - rates[0], decay, rounds).mean())
 
 
-def reversal(circuit: Circuit, held: direction.Held) -> dict[str, float]:
-    """Return chances to be turned back in gate 1 at the shortest stay, 1 - q.
+def reversal(circuit: Circuit) -> float:
+    """Return the chance to be turned back in gate 1 at the shortest stay, by the cosine law.
 
-    By entries of the cosine law; by the law of `direction`; and that with the number in urn 1, to
-    which entries are proportional, Poisson.
+    Entries are as many as by `direction`.
     """
     threshold, half = int(circuit.sides[0].threshold), 0.5 * float(circuit.channel1_length)
-    sine, weights = fate.directions()
-    density = np.maximum(held.entries[0] @ direction.polynomials(sine), 0.0) * weights
-    rate, number = density.sum(), held.in_urn[0]
-    law = half / np.sqrt(1.0 - sine**2), density / rate
-    counts = np.arange(max(1.0, np.floor(number - 5.0 * number**0.5)), number + 6.0 * number**0.5)
-    chance = np.exp(counts * math.log(number) - special.gammaln(counts + 1.0))
-    turned = [1.0 - fate.passing(threshold, rate * one / number, *law)[0] for one in counts]
-    return {
-        "cosine": 1.0 - fate.passing(threshold, rate, *fate.cosine_law(half))[0],
-        "directions": 1.0 - fate.passing(threshold, rate, *law)[0],
-        "fluctuating": float(chance @ turned / chance.sum()),
-    }
-
-
-def after_the_runs(case: Case) -> tuple[Straight, dict[str, float]]:
-    """Return particles with what was found after the runs, and the chances of `reversal`.
-
-    Flows, walls of channel 1 and the reversals of gate 1 are those of `direction`.
-    """
-    circuit = MODELS["direction"].of(case.circuit)
-    held = direction.most_polarised(circuit)
-    straight = circulation.followed(circuit, held.entries[:, 0], held.across[:, 0])
-    straight.walls, turned = direction.from_walls(circuit, held), reversal(circuit, held)
-    straight.share = np.array([1.0 - turned["fluctuating"], straight.share[1]])
-    return straight, turned
+    entries = float(direction.most_polarised(circuit).entries[0, 0])
+    return 1.0 - float(fate.passing(threshold, entries, *fate.cosine_law(half))[0])
 
 
 def predicted_rates(work: study.Study, at: int) -> Logs:
@@ -254,31 +229,22 @@ def predicted_rates(work: study.Study, at: int) -> Logs:
     flown = np.linspace(TRANSIENT, TRANSIENT + duration, 200)
     flown = flown / circulation.round_time(case.circuit)
     straight = two_port.straight_at(case.circuit, state_of(case.circuit).urn2_number)
-    changed, turned = after_the_runs(case)
-    found: dict[str, list[float | Floats]] = {}
-    for name, one, draws in (("theory", straight, many(work)), ("changed", changed, FEW)):
-        for draw in range(draws):
-            one.seed = circulation.FIRST + draw
-            rates = reached(one)
-            found.setdefault(name, []).append(rates[1, ROUNDS])
-            found.setdefault(f"{name}_current", []).append(by_rounds(rates, one.decay, flown))
-    return found | turned
+    found: dict[str, list[float | Floats]] = {"theory": [], "current": []}
+    for draw in range(many(work)):
+        straight.seed = circulation.FIRST + draw
+        rates = reached(straight)
+        found["theory"].append(rates[1, ROUNDS])
+        found["current"].append(by_rounds(rates, straight.decay, flown))
+    return found | {"reversed": reversal(MODELS["direction"].of(case.circuit))}
 
 
-def told_currents(
-    circuit: Circuit, ages: Floats, draws: int, changed: float | None = None
-) -> Logs:  # fmt: skip
-    """Return the net current of `direction` at each age, by draw, and without what circulates.
-
-    `changed` is another chance to be turned back in gate 1 than that of the cosine law.
-    """
+def told_currents(circuit: Circuit, ages: Floats, draws: int) -> Logs:
+    """Return the net current of `direction` at each age, by draw, and without what circulates."""
     held = direction.most_polarised(circuit)
     flows, urns = (held.entries[:, 0], held.across[:, 0]), [*map(ports.disc, circuit.sides)]
     sign, found = math.copysign(1.0, held.net_current), []
     for draw in range(draws):
         straight = circulation.followed(circuit, *flows, seed=circulation.FIRST + draw)
-        if changed is not None:
-            straight.share = np.array([1.0 - changed, straight.share[1]])
         around = circulation.carried(straight, circuit, urns, ages)[0]
         found.append(sign * (held.net_current + around))
     return {"current": np.array(found), "without": np.array(abs(held.net_current))}
@@ -299,11 +265,10 @@ def rates(work: study.Study) -> list[Row]:
         logs, theory = logs_of(work, at), rates_of(work, at)
         duration = logs["counts"].shape[0] * float(logs["duration"])
         counts, said = logs["counts"].sum(axis=0), mean_of(theory["theory"])
-        changed = mean_of(theory["changed"])
         rows += [
             {"circuit": case.label, "rounds": str(m), "measured": counts[k] / duration,
              "error": math.sqrt(said[0][k] / duration), "theory": said[0][k],
-             "theory_error": said[1][k], "changed": changed[0][k], "changed_error": changed[1][k]}
+             "theory_error": said[1][k]}
             for k, m in enumerate(ROUNDS)
         ]  # fmt: skip
     return rows
@@ -327,12 +292,11 @@ def pooled(work: study.Study) -> list[Row]:
         for k, m in enumerate(ROUNDS):
             row: Row = {"circuits": name, "rounds": str(m), "counts": float(counts[..., k].sum())}
             row["over_poisson"] = variance[k] / max(row["counts"], 1.0)
-            for theory in ("theory", "changed"):
-                expected, error = mean_of(number * float(logs[0]["duration"]) * np.sum(
-                    [one[theory][:, k] for one in events], axis=0))  # fmt: skip
-                row |= {f"{theory}_counts": expected, f"{theory}_ratio": row["counts"] / expected,
-                        f"{theory}_error": math.sqrt(max(variance[k], expected)) / expected,
-                        f"{theory}_draws": error / expected}  # fmt: skip
+            expected, error = mean_of(number * float(logs[0]["duration"]) * np.sum(
+                [one["theory"][:, k] for one in events], axis=0))  # fmt: skip
+            row |= {"theory_counts": expected, "theory_ratio": row["counts"] / expected,
+                    "theory_error": math.sqrt(max(variance[k], expected)) / expected,
+                    "theory_draws": error / expected}  # fmt: skip
             rows.append(row)
     return rows
 
@@ -349,7 +313,7 @@ def split(work: study.Study) -> list[Row]:
         row: Row = {"circuit": case.label}
         seen = {"straight": logs["straight"], "rest": logs["rest"],
                 "total": logs["straight"] + logs["rest"]}  # fmt: skip
-        straight = events["theory_current"]
+        straight = events["current"]
         said = {"straight": straight, "rest": all_of - straight[: len(all_of)], "total": all_of}
         for name, values in seen.items():
             row |= dict(zip((name, f"{name}_error"), map(float, mean_of(values)), strict=True))
@@ -379,8 +343,7 @@ def gates(work: study.Study) -> list[Row]:
             "entries": str(entries), "reversed": str(fates[1].sum()),
             "measured": fates[1].sum() / entries,
             "error": math.sqrt(max(fates[1].sum(), 1.0)) / entries,
-            **{name: float(np.average([one[name] for one in events], weights=weights))
-               for name in ("cosine", "directions", "fluctuating")},
+            "theory": float(np.average([one["reversed"] for one in events], weights=weights)),
             "of_rounds": str(rounds[1:].sum()), "reversed_of_rounds": str(rounds[1]),
             "walls_of_urn_1": str(rounds[0]), "walls_of_urn_2": str(rounds[2]),
             "variance_over_mean_of_number_1": first[1] / first[0],
@@ -403,30 +366,21 @@ def aged(work: study.Study) -> dict[str, Logs]:
         ages += [*np.linspace(*EARLY, 25), *np.linspace(*LATE, 200), math.inf]
         circuit = MODELS["direction"].of(Case(threshold, width).circuit)
 
-        def made(circuit: Circuit = circuit, ages: list[float] = ages) -> Logs:
-            turned = reversal(circuit, direction.most_polarised(circuit))
-            events = told_currents(circuit, np.array(ages), many(work))
-            changed = turned["fluctuating"]
-            other = told_currents(circuit, np.array(ages), FEW, changed)["current"]
-            return {**events, "changed": other, **turned}
-
-        found[str(threshold)] = kept(work, f"aged_{threshold}", made)
+        found[str(threshold)] = kept(work, f"aged_{threshold}", lambda of=circuit, ages=ages: (
+            told_currents(of, np.array(ages), many(work))))  # fmt: skip
     return found
 
 
 def by_age(work: study.Study) -> list[Row]:
-    """Return currents of *The age of a run* beside those of theory at the age.
-
-    `changed`: with the reversals of gate 1 by `reversal`.
-    """
+    """Return currents of *The age of a run* beside those of theory at the age."""
     rows: list[Row] = []
     for threshold, events in aged(work).items():
         own = [row for row in read(AGES) if row["T"] == threshold]
-        said, changed = mean_of(events["current"]), mean_of(events["changed"])
+        said = mean_of(events["current"])
         rows += [{
             "T": threshold, "w'": row["w2"], "from": float(row["from"]), "to": float(row["to"]),
             "current": float(row["current"]), "error": float(row["current_error"]),
-            "theory": said[0][k], "theory_error": said[1][k], "changed": changed[0][k],
+            "theory": said[0][k], "theory_error": said[1][k],
             "without": float(events["without"]),
         } for k, row in enumerate(own)]  # fmt: skip
     return rows
@@ -459,7 +413,7 @@ def by_width(work: study.Study) -> list[Row]:
 def checks(work: study.Study, tables: dict[str, list[Row]]) -> list[Row]:
     """Return what theory was to be checked against, and what else is known of T = 7, w' = 0.01.
 
-    Measured: docs/theory.md#circulation, studies/experiments, studies/tail; and the tables here.
+    Measured: docs/theory.md#circulation, docs/open_questions.md, studies/experiments, tables here.
     """
     events, rows = aged(work), []
     later = {key: one["current"][:, len(one["current"][0]) - 226 :] for key, one in events.items()}
@@ -496,10 +450,9 @@ def checks(work: study.Study, tables: dict[str, list[Row]]) -> list[Row]:
     last = tables["gates"][-1]
     number, rounds = (float(last[name]) for name in ("reversed_of_rounds", "of_rounds"))
     here = number / rounds, math.sqrt(max(number, 1.0)) / rounds
-    for name, theory in (("", "cosine"), (", changed", "fluctuating")):
-        known = float(straight[theory]), 0.0
-        add(f"reversed by gate 1 per round, other logs{name}", (1.55e-4, 0.16e-4), known)
-        add(f"reversed by gate 1 per round, here, all l'{name}", here, (last[theory], 0.0))
+    add("reversed by gate 1 per round, other logs", (1.55e-4, 0.16e-4),
+        (float(straight["reversed"]), 0.0))  # fmt: skip
+    add("reversed by gate 1 per round, here, all l'", here, (last["theory"], 0.0))
     return rows
 
 
@@ -514,13 +467,12 @@ def figure(tables: dict[str, list[Row]]) -> Figure:
     made = style.figure(style.PAGE, 6.0)
     (reached, aged), (parts, wide) = made.subplots(2, 2)
     both = dict.fromkeys(row["circuits"] for row in tables["pooled"])
-    shown = [(circuits, theory) for circuits in both for theory in ("theory", "changed")]
-    for at, (circuits, theory) in enumerate(shown):
+    for at, circuits in enumerate(both):
         own = [row for row in tables["pooled"] if row["circuits"] == circuits
                and row["theory_counts"] > 16.0]  # fmt: skip
-        marks(reached, 1.08 ** (at - 1.5) * np.array([float(row["rounds"]) for row in own]), own,
-              (f"{theory}_ratio", f"{theory}_error"), fmt="osD^"[at], color=f"C{at}",
-              label=circuits + (", changed" if theory == "changed" else ""))  # fmt: skip
+        rounds = 1.08 ** (at - 0.5) * np.array([float(row["rounds"]) for row in own])
+        names = "theory_ratio", "theory_error"
+        marks(reached, rounds, own, names, fmt="os"[at], color=f"C{at}", label=circuits)
     reached.axhline(1.0, color="black", lw=0.8)
     reached.set(xscale="log", xlabel="round m", ylabel="m-th rounds, runs over theory",
                 ylim=(0.0, 1.5))  # fmt: skip
@@ -529,7 +481,7 @@ def figure(tables: dict[str, list[Row]]) -> Figure:
         own = [row for row in tables["ages"] if row["T"] == str(threshold)]
         age = np.array([math.sqrt(max(row["from"], 10.0) * row["to"]) for row in own])
         rest, lines, label = own[0]["without"], {}, f"T = {threshold}, w' = {width}"
-        for name in ("current", "error", "theory", "theory_error", "changed"):
+        for name in ("current", "error", "theory", "theory_error"):
             values = np.array([row[name] for row in own])
             lines[name] = 100.0 * (values if "error" in name else values - rest) / rest
         aged.errorbar(age, lines["current"], lines["error"], fmt="osD"[at], ms=3.5, lw=0.8,
@@ -537,7 +489,6 @@ def figure(tables: dict[str, list[Row]]) -> Figure:
         ends = (lines["theory"] + sign * lines["theory_error"] for sign in (-1.0, 1.0))
         aged.fill_between(age, *ends, color=f"C{at}", alpha=0.3, lw=0)
         aged.plot(age, lines["theory"], color=f"C{at}", lw=1.0)
-        aged.plot(age, lines["changed"], color=f"C{at}", lw=0.9, ls="--")
     aged.axhline(0.0, color="black", lw=0.8, ls=":")
     aged.set(xscale="log", xlabel="age of the run (r/v)",
              ylabel="current less without, over without (%)")  # fmt: skip

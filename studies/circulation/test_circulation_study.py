@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from postproc.theory import direction, two_port
+from postproc.theory import two_port
 from postproc.theory.models import MODELS
 from studies.circulation import study as circulation
 from studies.circulation.study import Case
@@ -90,9 +90,7 @@ def test_current_by_rounds_fills_up_with_what_has_been_flown() -> None:
         assert found == pytest.approx(harmonic, rel=1e-3)
 
 
-def test_reversals_are_more_frequent_where_the_number_fluctuates() -> None:
-    """Of T = 7, w' = 0.01: 8.5e-5 a round by the cosine law, 1.33e-4 with fluctuations."""
-    circuit = MODELS["direction"].of(Case().circuit)
-    found = circulation.reversal(circuit, direction.most_polarised(circuit))
-    assert found["cosine"] == pytest.approx(8.5e-5, rel=0.02)
-    assert found["fluctuating"] == pytest.approx(1.33e-4, rel=0.03)
+def test_reversals_of_gate_1_are_rare() -> None:
+    """At T = 7, w' = 0.01: 8.5e-5 a round by the cosine law."""
+    found = circulation.reversal(MODELS["direction"].of(Case().circuit))
+    assert found == pytest.approx(8.5e-5, rel=0.02)

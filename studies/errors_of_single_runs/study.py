@@ -3,8 +3,9 @@
 Many runs of the same circuit and length, each with its own standard error, against their scatter.
 The table has for each circuit, quantity and length: in how many runs the error is known (`told`),
 the median of these errors over the true one, and how often the mean over all runs is within one and
-two of them. Prints first the correlation time of the polarised current at the reference point.
-Quick: 40 runs of up to 37,000 time units, two minutes of a core; --full: half an hour.
+two of them. Another table has the scatter of the net current at the reference point by the length
+of a run. Prints first the correlation time of the current there, and the length for 1 %.
+Quick: 40 runs of up to 37,000 time units, three minutes of a core; --full: half an hour.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ import numpy as np
 import postproc
 from postproc import study
 from postproc.figures import style
+from studies.errors_of_single_runs.scatter import by_length, length_for_goal
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -115,15 +117,34 @@ def measure(
     }
 
 
-def reference_correlation_time(work: study.Study) -> float:
-    """Return the decay time of the slowest component of the current, at T = 7.
+def reference_currents(work: study.Study, length: float, replicas: int) -> Floats:
+    """Return the series of the net current at T = 7, shape (run, time), an entry an `INTERVAL`.
 
-    The polarity does not change, so the polarised current is the absolute current.
+    The polarity does not change, so it is the absolute current.
     """
-    path = runs(work, "series", 7, {}, 400_000.0, int(work.pick(30, 100)), INTERVAL)
+    name = f"series_{length:.0f}"
+    path = runs(work, name, 7, {}, length, replicas, INTERVAL)
     data = postproc.open_results(path, group="series")
     current = np.abs(data["flow2_12"] - data["flow2_21"]).transpose("replica", "time").values
-    return decay_time(current[:, int(TRANSIENT / INTERVAL) + 1 : -1], INTERVAL, (8, 64))
+    return current[:, int(TRANSIENT / INTERVAL) + 1 : -1]
+
+
+def scatter(work: study.Study) -> None:
+    """Write the table of the scatter of the net current; print the lengths for 1 %."""
+    currents = reference_currents(work, 1.0e6, int(work.pick(24, 64)))
+    rows, mean = by_length(currents, INTERVAL), float(currents.mean())
+    names = ("deviation", "half_width")
+    work.table("scatter", ("length", *(f"{one}{end}" for one in names for end in ("", "_error"))), [
+        [f"{row['time']:.0f}",
+         *(f"{100.0 * row[one + end] / mean:.3g}" for one in names for end in ("", "_error"))]
+        for row in rows
+    ])  # fmt: skip
+    times = np.array([row["time"] for row in rows])
+    lengths = [length_for_goal(times, np.array([row[one] for row in rows]), mean) for one in names]
+    spread = currents.mean(axis=1)
+    print(f"net current of runs of 1e6 at T = 7: {spread.min():.4f} to {spread.max():.4f}, "
+          f"mean {mean:.4f} +- {spread.std(ddof=1) / spread.size**0.5:.2g}; 1 % takes "
+          f"{lengths[0]:.2g} (standard deviation), {lengths[1]:.2g} (half of 68 %)")  # fmt: skip
 
 
 def figure(found: Found, replicas: int) -> Figure:
@@ -162,7 +183,10 @@ def figure(found: Found, replicas: int) -> Figure:
 
 def run(work: study.Study) -> None:
     """Make all tables and pictures of the page."""
-    print(f"correlation time of the current at T = 7: {reference_correlation_time(work):.0f}")
+    currents = reference_currents(work, 400_000.0, int(work.pick(30, 100)))
+    slow = decay_time(currents, INTERVAL, (8, 64))
+    print(f"correlation time of the current at T = 7: {slow:.0f}")
+    scatter(work)
     found: Found = {}
     for at, (label, (threshold, table, lengths)) in enumerate(CIRCUITS.items()):
         found[label] = {

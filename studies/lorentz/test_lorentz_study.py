@@ -14,6 +14,7 @@ import pytest
 
 import postproc
 from postproc.study import Study
+from studies.common.geometry import lattice
 from studies.lorentz import study as lorentz
 
 if TYPE_CHECKING:
@@ -45,7 +46,7 @@ def discs_of(folder: Path, name: str) -> int:
 
 @pytest.mark.parametrize("columns", [c for c in lorentz.COLUMNS if c])
 def test_discs_are_apart_and_the_channel_is_not_closed(columns: int) -> None:
-    discs = np.reshape(lorentz.lattice(columns, max(lorentz.RADII)), (-1, 3))
+    discs = np.reshape(lattice(columns, max(lorentz.RADII)), (-1, 3))
     for one, other in combinations(discs, 2):
         assert math.hypot(*(one - other)[:2]) > one[2] + other[2]
     for place in set(discs[:, 0]):

@@ -70,12 +70,3 @@ def test_extrapolation_of_exact_lines() -> None:
     assert found["runs"] == pytest.approx(1.2)
     assert found["parabola"] == pytest.approx(1.2)
     assert found["spread"] == pytest.approx(0.0, abs=1e-12)
-
-
-def test_results_and_comparison_are_of_the_same_runs() -> None:
-    own = study.read(study.HERE / "results.csv")
-    told = study.read(study.HERE / "comparison.csv")
-    assert [(row["circuit"], row["w"]) for row in own] == [
-        (row["circuit"], row["w"]) for row in told
-    ]
-    assert len(own) == 16

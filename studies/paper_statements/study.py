@@ -7,7 +7,6 @@ Each part makes runs, and prints numbers with standard errors over replicas:
 - single: what eq. (eqapp5) adds to the current of the single urn, by w and T (5 s);
 - one_channel: chi against N w l/(8 T A) without channel 2 (25 s);
 - averages: chi over time and over wall collisions, from the same runs (8 s of a processor);
-- larger: four times the particles in urns of twice the radius (15 s);
 - polygons: currents of four shapes of urns at T = 7 (5 s);
 - discs: current over chi with 15 discs in channel 2 (5 s), and both starts at N = 4000 (30 s).
 """
@@ -16,7 +15,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import postproc
@@ -26,16 +24,15 @@ from postproc.theory.circuit import Circuit, flow1
 from postproc.theory.gates import WINDOW
 from postproc.theory.renewal import RENEWAL
 from postproc.theory.states import stable_state
+from studies.common import geometry
 from studies.event_log import mean_of_groups
-from studies.experiments import study as experiments
-from studies.lorentz import study as lorentz
-from studies.shapes import study as shapes
 
 if TYPE_CHECKING:
     import numpy as np
     import xarray as xr
 
 POLARISED = 0.3  # chi above which a state is called so
+NARROW, WIDE = 0.01, 0.2  # w' of the circuits with polygons, and with discs in channel 2
 
 
 def plain(width: float) -> float:
@@ -121,21 +118,14 @@ def averages(work: study.Study) -> None:
         print(f"T = {threshold}: chi {mean(here.chi.to_numpy())}, by collisions {mean(apart)} more")
 
 
-def larger(work: study.Study) -> None:
-    """Print experiment 3 of `studies/experiments`."""
-    work = replace(work, place=Path(experiments.__file__).parent, ranks=1)
-    for row in experiments.sizes(work):
-        print(f"{row.what}: {row.measured:.4g} +- {row.error:.2g}")
-
-
 def polygons(work: study.Study) -> None:
     """Print chi and current of four shapes of one area, and over that of well mixed urns."""
     state = stable_state(Circuit(1000, 7, gate=RENEWAL, occupation=True))
-    for shape, table in shapes.tables(shapes.WIDTH).items():
+    for shape, table in geometry.shapes(NARROW).items():
         data = made(work, shape.replace(" ", "_"),
                     {"duration": 6000.0, "transient_duration": 4000.0},
                     {"urn1_fraction": [1.0], "replicas": 32},
-                    table={"channel2_width": shapes.WIDTH, **table},
+                    table={"channel2_width": NARROW, **table},
                     gate={"threshold": 7})  # fmt: skip
         current = data.polarised_current.to_numpy().ravel()
         print(f"{shape}: chi {mean(data.chi.to_numpy().ravel())}, current {mean(current)}, "
@@ -144,16 +134,16 @@ def polygons(work: study.Study) -> None:
 
 def discs(work: study.Study) -> None:
     """Print the conductance of channel 2 with 15 discs over T; chi of both starts at N = 4000."""
-    table = {"channel2_width": lorentz.WIDTH, "scatterers": lorentz.lattice(6, 0.015)}
+    table = {"channel2_width": WIDE, "scatterers": geometry.lattice(6, 0.015)}
     data = made(work, "discs", {"duration": 3000.0, "transient_duration": 1000.0},
                 {"threshold": [8, 9, 11, 13, 14], "replicas": 16}, table=table)  # fmt: skip
     for threshold in data.threshold.to_numpy():
         here = data.sel(threshold=threshold)
-        share = here.polarised_current.to_numpy() / (plain(lorentz.WIDTH) * here.chi.to_numpy())
+        share = here.polarised_current.to_numpy() / (plain(WIDE) * here.chi.to_numpy())
         print(f"T = {threshold}: chi {mean(here.chi.to_numpy())}, current over chi {mean(share)} "
               "of a straight channel")  # fmt: skip
     for number, radius in ((1000, 0.015), (4000, 0.012)):
-        table["scatterers"] = lorentz.lattice(6, radius)
+        table["scatterers"] = geometry.lattice(6, radius)
         data = made(work, f"starts_{number}", {"duration": 16000.0, "transient_duration": 8000.0},
                     {"urn1_fraction": [0.5, 1.0], "replicas": 8}, table=table,
                     particles={"number": number},
@@ -163,7 +153,7 @@ def discs(work: study.Study) -> None:
               "from even urns and from one full urn")  # fmt: skip
 
 
-PARTS = (flows, slices, single, one_channel, averages, larger, polygons, discs)
+PARTS = (flows, slices, single, one_channel, averages, polygons, discs)
 
 if __name__ == "__main__":
     raise SystemExit(study.main(__file__, __doc__, {part.__name__: part for part in PARTS}))

@@ -16,10 +16,11 @@ import postproc
 from postproc import study
 from postproc.figures import style
 from studies import event_log
-from studies.event_log import CROSSING2, Circuit, mean_of_groups
+from studies.common import geometry
+from studies.common.geometry import DISC, IRRATIONAL, REGULAR, SQUARE
+from studies.event_log import CROSSING2, mean_of_groups
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
     from pathlib import Path
 
     from matplotlib.axes import Axes
@@ -37,37 +38,10 @@ PASSAGES = (0.01, 0.05)  # widths of channel 2 at which returns are counted
 LAGS = (1, 2, 5, 10, 20, 40, 80)  # visits
 # share of urn 1 at the start, and transients in units of the duration
 KINDS = {"states": (1.0, 2.0), "shorter": (1.0, 1.0), "equal": (0.5, 2.0)}
-DISC, SQUARE, REGULAR, IRRATIONAL = "disc", "square", "regular hexagon", "crooked hexagon"
-# Slopes of its sides are fractions other than 0, 1 and -1, so all angles are irrational parts of pi
-CROOKED = (
-    (0.9, -0.55), (0.9, 0.48), (0.13, 1.07), (-0.85, 0.44), (-0.85, -0.52), (-0.21, -0.97),
-)  # fmt: skip
 LOOKS = {
     DISC: ("o", style.BLUE), SQUARE: ("s", style.VERMILION), REGULAR: ("h", style.ORANGE),
     IRRATIONAL: ("^", style.GREEN),
 }  # fmt: skip
-
-
-def area_of(corners: Sequence[Sequence[float]]) -> float:
-    """Return the area that corners enclose, counterclockwise."""
-    x, y = np.transpose(corners)
-    return 0.5 * float(np.sum(x * np.roll(y, -1) - y * np.roll(x, -1)))
-
-
-def tables(width: float) -> dict[str, dict[str, object]]:
-    """Return the keys of `&table` by shape: all urns have the area of the disc of radius 1."""
-    area = Circuit(channel2_width=width).urn_area
-    stretch = math.sqrt(area / area_of(CROOKED))
-    radii = {sides: math.sqrt(2.0 * area / (sides * math.sin(2.0 * math.pi / sides)))
-             for sides in (4, 6)}  # fmt: skip
-    polygon = {"urn_shape": "polygon"}
-    return {
-        DISC: {},
-        SQUARE: polygon | {"urn_sides": 4, "urn_radius": radii[4]},
-        REGULAR: polygon | {"urn_sides": 6, "urn_radius": radii[6]},
-        IRRATIONAL: polygon
-        | {"urn_vertices": [stretch * one for xy in CROOKED for one in xy]},
-    }
 
 
 class Runs:
@@ -88,7 +62,7 @@ class Runs:
         transient = transients * self.duration
         made = self.run(
             f"{shape} {fraction:g} {transients:g}",
-            table={"channel2_width": WIDTH, **tables(WIDTH)[shape]},
+            table={"channel2_width": WIDTH, **geometry.shapes(WIDTH)[shape]},
             run={"duration": transient + self.duration, "transient_duration": transient},
             scan={"threshold": list(THRESHOLDS), "replicas": self.replicas,
                   "urn1_fraction": [fraction]},
@@ -108,7 +82,7 @@ class Runs:
         for width in PASSAGES:
             made = self.run(
                 f"returns {shape} {width:g}",
-                table={"channel2_width": width, **tables(width)[shape]},
+                table={"channel2_width": width, **geometry.shapes(width)[shape]},
                 particles={"number": MANY}, gate={"threshold": MANY},
                 run={"duration": 4.0 * self.duration}, output={"event_log": True},
             )  # fmt: skip
@@ -127,7 +101,7 @@ class Runs:
         """Return the autocorrelation of cos(theta) from visit to visit, of one urn without gate."""
         duration = 40.0 * self.duration
         made = self.run(
-            f"directions {shape}", table={"shape": "urn", **tables(0.0)[shape]},
+            f"directions {shape}", table={"shape": "urn", **geometry.shapes(0.0)[shape]},
             gate={"threshold": NUMBER}, run={"duration": duration}, output={"event_log": True},
         )  # fmt: skip
         seen = event_log.entries_of(event_log.particle_events(event_log.read_log(made)))

@@ -13,6 +13,7 @@ import pytest
 
 from postproc.study import Study
 from studies import event_log
+from studies.common import geometry
 from studies.event_log import Circuit
 from studies.shapes import study as shapes
 
@@ -21,17 +22,17 @@ pytestmark = pytest.mark.usefixtures("theory_in_process")  # before `made`, as t
 
 def test_all_urns_have_the_area_of_the_disc() -> None:
     area = Circuit(channel2_width=0.05).urn_area
-    given = shapes.tables(0.05)
-    for name in (shapes.SQUARE, shapes.REGULAR):
+    given = geometry.shapes(0.05)
+    for name in (geometry.SQUARE, geometry.REGULAR):
         angles = 2.0 * np.pi * np.arange(given[name]["urn_sides"]) / given[name]["urn_sides"]
         corners = given[name]["urn_radius"] * np.transpose([np.cos(angles), np.sin(angles)])
-        assert shapes.area_of(corners) == pytest.approx(area, rel=1e-12)
-    corners = np.reshape(given[shapes.IRRATIONAL]["urn_vertices"], (-1, 2))
-    assert shapes.area_of(corners) == pytest.approx(area, rel=1e-12)
+        assert geometry.area_of(corners) == pytest.approx(area, rel=1e-12)
+    corners = np.reshape(given[geometry.IRRATIONAL]["urn_vertices"], (-1, 2))
+    assert geometry.area_of(corners) == pytest.approx(area, rel=1e-12)
 
 
 def test_crooked_hexagon_is_convex_with_irrational_angles() -> None:
-    corners = [[Fraction(str(one)) for one in xy] for xy in shapes.CROOKED]
+    corners = [[Fraction(str(one)) for one in xy] for xy in geometry.CROOKED]
     following = corners[1:] + corners[:1]
     sides = [(c - a, d - b) for (a, b), (c, d) in zip(corners, following, strict=True)]
     for (a, b), (c, d) in zip(sides, sides[1:] + sides[:1], strict=True):
@@ -77,7 +78,7 @@ def test_only_a_square_keeps_the_direction(made: tuple[Path, shapes.Found, Entri
         again = particle[1:] == particle[:-1]
         change = np.abs(np.diff(cosine))[again]
         assert change.size > 100
-        assert (change.max() < 1e-6) == (shape == shapes.SQUARE)
+        assert (change.max() < 1e-6) == (shape == geometry.SQUARE)
 
 
 def test_picture_shows_every_shape(made: tuple[Path, shapes.Found, Entries]) -> None:
@@ -111,4 +112,4 @@ def test_tables_have_every_shape(made: tuple[Path, shapes.Found, Entries]) -> No
         (row,) = csv.DictReader(file)
     assert list(row) == ["T", "chi, disc", "square", "regular hexagon", "crooked hexagon",
                          "well mixed"]  # fmt: skip
-    assert row["square"].startswith(f"{found['states'][shapes.SQUARE][0]['chi']:.3f} ±")
+    assert row["square"].startswith(f"{found['states'][geometry.SQUARE][0]['chi']:.3f} ±")

@@ -1,4 +1,4 @@
-"""Scatter of averages of runs of one length, and the length of a run for an accuracy."""
+"""Scatter of averages of runs by their length, and the length of a run for an accuracy."""
 
 from __future__ import annotations
 
@@ -41,6 +41,24 @@ def scatter_with_error(runs: Floats) -> dict[str, float]:
         for name in ("half_width", "deviation")
     }
     return {**scatter(runs.ravel()), **errors}
+
+
+def by_length(values: Floats, interval: float) -> list[dict[str, float]]:
+    """Return `scatter_with_error` of windows of 1, 2, 4, ... intervals, and of whole runs.
+
+    Parameters
+    ----------
+    values : series of runs, shape (run, time).
+    interval : time from one value to the next.
+    """
+    count, sizes = values.shape[1], []
+    while 2 ** len(sizes) <= count:
+        sizes.append(2 ** len(sizes))
+    rows = []
+    for size in dict.fromkeys([*sizes, count]):
+        windows = values[:, : count // size * size].reshape(len(values), -1, size).mean(axis=2)
+        rows.append({"time": size * interval, **scatter_with_error(windows)})
+    return rows
 
 
 def length_for_goal(times: Floats, widths: Floats, mean: float) -> float:
