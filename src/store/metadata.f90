@@ -5,7 +5,6 @@ module battery_metadata
   use battery_error, only: error_type, fatal_error, exit_bad_input
   use battery_hdf5_file, only: hdf5_file_type, open_file, close_file, make_group
   use battery_hdf5_attributes, only: write_attribute, write_text_attribute, read_text_attribute
-  use battery_checksum_footer, only: check_footer
   implicit none (type, external)
   private
   public :: metadata_type, add_text_metadata, write_metadata, read_metadata
@@ -73,7 +72,7 @@ contains
   end subroutine write_metadata
 
   !> Reads the version and the input that a results file was made with, and whether it is complete.
-  !> The checksum is verified first (`check_footer`), and a file without a valid one gives an error.
+  !> The caller has checked its footer (`check_footer`).
   subroutine read_metadata(name, version, input_text, status, initial_file_fingerprint, error)
     !> Path of the file.
     character(len=*), intent(in) :: name
@@ -88,8 +87,7 @@ contains
     type(error_type), allocatable :: close_error
     type(hdf5_file_type) :: file
 
-    call check_footer(name, error)
-    if (.not. allocated(error)) call open_file(file, name, error)
+    call open_file(file, name, error)
     if (allocated(error)) return
     call read_text_attribute(file, '/', 'version', version, error)
     call read_text_attribute(file, '/', 'namelist', input_text, error)
