@@ -6,6 +6,7 @@ import argparse
 import math
 import os
 import sys
+import warnings
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, NoReturn
 
@@ -165,7 +166,8 @@ def run(main: Callable[[list[str] | None], int], arguments: list[str] | None = N
     """
     try:
         try:
-            with progress.told():
+            with progress.told(), warnings.catch_warnings():
+                warnings.showwarning = _show_warning
                 return main(arguments)
         finally:
             sys.stdout.flush()
@@ -184,6 +186,11 @@ def printable(text: str) -> str:
     """Return text that is safe on a terminal: control characters are shown as escapes."""
     shown = (one if one.isprintable() else ascii(one)[1:-1] for one in text)
     return "".join(shown)
+
+
+def _show_warning(message: Warning | str, *_: object) -> None:
+    """Print a warning in one line, without the place in the code that it is from."""
+    print(f"warning: {printable(' '.join(str(message).split()))}", file=sys.stderr)
 
 
 def _system_message(problem: OSError) -> str:

@@ -264,7 +264,7 @@ def _check_attributes(
         if key in SCALES and isinstance(thing, h5py.Dataset):
             continue
         if key not in texts and key not in numbers:
-            raise InputError(f"{where}: battery does not write it")
+            continue  # a remark of a reader
         one = thing.attrs.get_id(key)
         of_type, count = one.get_type(), math.prod(one.shape or ())
         kinds = (h5t.TypeIntegerID, h5t.TypeFloatID) if key in numbers else h5t.TypeStringID

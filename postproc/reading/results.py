@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import math
 import sys
 from contextlib import ExitStack, contextmanager
@@ -87,10 +88,7 @@ class Results:
         """Open `path`; raise `InputError` unless it holds results of this program."""
         self.path = path
         check_seal(existing_file(path))
-        try:
-            self._file = h5py.File(path, "r")
-        except OSError as problem:
-            raise InputError(f"{path}: cannot be opened as an HDF5 file") from problem
+        self._file = _hdf5(path)
         self._arrays: dict[str, NDArray[np.generic]] = {}
         try:
             self._check()
@@ -484,6 +482,23 @@ class Results:
         ):
             if not 0 <= index < count:
                 raise InputError(f"{self.path}: has {count} {what}(s), there is no {index + 1}")
+
+
+def _hdf5(path: Path) -> h5py.File:
+    """Return an open file; without HDF5's lock, which some network disks refuse.
+
+    Where this Python has the file open with a lock, HDF5 opens it again only with one.
+    """
+    try:
+        return h5py.File(path, "r", locking=False)
+    except OSError:
+        try:
+            return h5py.File(path, "r")
+        except OSError as problem:
+            reason = " ".join(str(problem).split())
+            if problem.errno == errno.EAGAIN:
+                reason = "is open in another program, which may change it; close it there"
+            raise InputError(f"{path}: {reason}") from problem
 
 
 @contextmanager

@@ -184,7 +184,6 @@ EDITS: dict[str, tuple[str, Callable[[h5py.File, Path], None]]] = {
     "a time without end": ("series/time", lambda file, _: (
         file["series/time"].__setitem__(-1, np.inf))),
     "unknown name": ("<b>", lambda file, _: file.__setitem__("<b>", 1.0)),
-    "unknown attribute": ("colour", lambda file, _: file.attrs.__setitem__("colour", "red")),
     "many texts": ("version", lambda file, _: file.attrs.__setitem__("version", ["0.2.0"] * 9)),
     "escape in a unit": ("units", lambda file, _: (
         file["chi"].attrs.__setitem__("units", "\x1b[31m"))),

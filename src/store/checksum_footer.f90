@@ -166,7 +166,7 @@ contains
         call read_content(unit, bytes, first, digits, status, copy_unit)
         if (status == 0) write (copy_unit, iostat=status) footer_text(bytes, digits)
         close (copy_unit, iostat=closed)
-        status = merge(status, closed, status /= 0)
+        if (status == 0) status = closed
       end if
       close (unit)
     end if

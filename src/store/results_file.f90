@@ -109,7 +109,7 @@ contains
   subroutine accept_results(name, before, results, error)
     !> Path of the file.
     character(len=*), intent(in) :: name
-    !> Stamp of the file when it was seen to lack a footer, so that no change in between is accepted.
+    !> Stamp of the file before it was looked at, so that no change in between is accepted.
     type(file_stamp_type), intent(in) :: before
     !> Its numbers.
     type(results_type), intent(out) :: results
