@@ -71,9 +71,16 @@ def add_output(options: argparse.ArgumentParser) -> None:
     )
 
 
+def add_verify(options: argparse.ArgumentParser) -> None:
+    """Add `--verify`."""
+    text = "read every file as a whole, and check the digest at its end"
+    options.add_argument("--verify", action="store_true", help=text)
+
+
 def add_task(options: argparse.ArgumentParser) -> None:
     """Add a file of results, and `--point` and `--replica` that choose a task in it."""
     options.add_argument("file", metavar="FILE.h5", type=Path)
+    add_verify(options)
     for key, meaning in (("point", "parameter point"), ("replica", "replica")):
         help_text = f"{meaning}, from 1 (default: the first done)"
         options.add_argument(f"--{key}", type=integer(1), help=help_text)

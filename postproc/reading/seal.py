@@ -8,6 +8,7 @@ it cuts it off when a program opens the file for writing.
 from __future__ import annotations
 
 import hashlib
+import re
 import warnings
 from typing import TYPE_CHECKING
 
@@ -31,39 +32,53 @@ def seal_of(count: int, digits: str) -> bytes:
     return f"{text:{LENGTH - 1}}\n".encode("ascii")
 
 
-def check_seal(path: Path) -> None:
-    """Raise `InputError` unless the file is intact, and `OSError` if it cannot be read.
+def check_seal(path: Path, *, verify: bool = False) -> None:
+    """Raise `InputError` unless a file ends with a seal for its length.
 
     A file that another program has opened for writing has lost its seal; it may still be whole, so
     there is only a warning.
+
+    Parameters
+    ----------
+    path : the file.
+    verify : whether to read the whole file, and require its digest.
     """
-    digest, first = hashlib.sha256(), b""
+    size = path.stat().st_size
     with path.open("rb") as file:
-        left = content = max(path.stat().st_size - LENGTH, 0)
-        while left and (piece := file.read(min(left, PIECE))):
-            digest.update(piece)
-            first = first or piece
-            left -= len(piece)
+        first = file.read(PIECE)
+        file.seek(max(size - LENGTH, 0))
         seal = file.read()
-    if seal == seal_of(content, digest.hexdigest()):
-        return
-    first = first or seal
-    if seal.startswith(FIRST_LINE.encode()) or REMARK.encode() in seal:
-        reason = "damaged: its digest is wrong"
-    elif MARK in first and _end_in_hdf5(first) == path.stat().st_size:
+    found = re.search(rb"\nsha256 ([0-9a-f]{64})\n", seal)
+    digits = found[1].decode() if found else ""
+    lost = MARK in first and _end_in_hdf5(first) == size
+    if seal == seal_of(size - LENGTH, digits):
+        if verify and _digest(path, size - LENGTH) != digits:
+            raise InputError(f"{path}: damaged: its digest is wrong")
+    elif seal.startswith(FIRST_LINE.encode()) or REMARK.encode() in seal:
+        raise InputError(f"{path}: damaged: the digest at its end is not one of its length")
+    elif lost and not verify:
         message = (
             f"{path}: was changed by another program, or is of a version before 0.2.0: it has no "
             "digest at its end; it is read as it is (battery --accept FILE.nml gives it a new one)"
         )
-        warnings.warn(message, stacklevel=2)
-        return
+        warnings.warn(message, stacklevel=4)
     elif MARK in first:
-        reason = "damaged: it has no digest at its end"
+        reason = "cannot be verified" if lost else "damaged"
+        raise InputError(f"{path}: {reason}: it has no digest at its end")
     elif first.startswith(b"\x89HDF"):
         raise InputError(f"{path}: HDF5, but not written by battery, or only a piece of its file")
     else:
         raise InputError(f"{path}: not an HDF5 file")
-    raise InputError(f"{path}: {reason}; battery --overwrite makes it again")
+
+
+def _digest(path: Path, count: int) -> str:
+    """Return the SHA-256 digest of the first bytes of a file, in hexadecimal."""
+    digest = hashlib.sha256()
+    with path.open("rb") as file:
+        while count and (piece := file.read(min(count, PIECE))):
+            digest.update(piece)
+            count -= len(piece)
+    return digest.hexdigest()
 
 
 def _end_in_hdf5(first: bytes) -> int:
