@@ -197,9 +197,36 @@ def no_numbers(path: Path) -> None:
         new.id.write_direct_chunk((0, 0, 0), b"spoilt")
 
 
+def linked(path: Path) -> None:
+    """Put a link to another results file in the place of a dataset that would fit."""
+    shutil.copy(path, path.with_name("other.h5"))
+    with h5py.File(path, "r+") as file:
+        del file["chi"]
+        file["chi"] = h5py.ExternalLink("other.h5", "/chi")
+
+
+def outside(path: Path) -> None:
+    """Store a dataset in another file."""
+    path.with_name("secret").write_bytes(bytes(64))
+    with h5py.File(path, "r+") as file:
+        shape = file["chi"].shape
+        del file["chi"]
+        file.create_dataset("chi", shape, "f8", external=[("secret", 0, h5py.h5f.UNLIMITED)])
+
+
+def endless(path: Path) -> None:
+    """Claim a series of more entries than there is memory for."""
+    with h5py.File(path, "r+") as file:
+        del file["series/urn1_number"]
+        file.create_dataset("series/urn1_number", (2, 1, 10**14), "i4", chunks=(1, 1, 1000))
+
+
 @pytest.mark.parametrize(
     ("change", "code", "said"),
     [
+        (linked, 2, "/chi is a link out of its place"),
+        (outside, 2, "/chi does not lie in the file itself"),
+        (endless, 2, "no memory for /series"),
         (without_chi, 2, "/chi is not there"),
         (another_seed, 2, "/seed has a seed"),
         (shorter, 2, "/final/x has the dimensions"),

@@ -7,9 +7,8 @@
 !> crashes when it closes the file. Its bytes are written from the memory of HDF5 without a copy,
 !> followed by the checksum footer.
 !>
-!> A file that is read is not trusted, since anyone can make a valid footer: no object is opened
-!> before `check_links` found that it is stored in this file, and no filter is loaded from
-!> elsewhere.
+!> Of a file that is read no object is opened before `check_links` found that it is stored in this
+!> file, and no filter is loaded from elsewhere.
 module battery_hdf5_file
   use, intrinsic :: iso_c_binding, only: c_associated, c_char, c_f_pointer, c_int, c_int64_t, &
     c_null_char, c_null_ptr, c_ptr, c_size_t

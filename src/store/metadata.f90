@@ -2,7 +2,7 @@
 module battery_metadata
   use battery_kinds, only: dp, int32
   use battery_clocks, only: utc_now
-  use battery_error, only: error_type, fatal_error, exit_bad_input
+  use battery_error, only: error_type
   use battery_hdf5_file, only: hdf5_file_type, open_file, close_file, make_group
   use battery_hdf5_attributes, only: write_attribute, write_text_attribute, read_text_attribute
   implicit none (type, external)
@@ -81,9 +81,6 @@ contains
     !> Fingerprint in hexadecimal digits; empty if there was no initial file.
     character(len=:), allocatable, intent(out) :: initial_file_fingerprint
     type(error_type), allocatable, intent(out) :: error
-    !> Letters of a version, and the greatest number of them.
-    character(len=*), parameter :: in_versions = '0123456789.-abcdefghijklmnopqrstuvwxyz'
-    integer, parameter :: longest = 32
     type(error_type), allocatable :: close_error
     type(hdf5_file_type) :: file
 
@@ -95,12 +92,6 @@ contains
     call read_text_attribute(file, '/', 'initial_file_fingerprint', initial_file_fingerprint, error)
     call close_file(file, close_error)
     if (.not. allocated(error)) call move_alloc(close_error, error)
-    if (allocated(error)) return
-    if (status /= 'complete' .and. status /= 'partial') then
-      call fatal_error(error, name//': its status is neither complete nor partial', exit_bad_input)
-    else if (version == '' .or. verify(version, in_versions) > 0 .or. len(version) > longest) then
-      call fatal_error(error, name//': its version is not one of this program', exit_bad_input)
-    end if
   end subroutine read_metadata
 
 end module battery_metadata

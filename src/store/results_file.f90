@@ -33,7 +33,7 @@ module battery_results_file
   use battery_simulation, only: setup_type
   use battery_checksum_footer, only: check_footer, copy_with_footer
   use battery_table, only: channel1, channel2
-  use battery_text, only: lines_of, to_text
+  use battery_text, only: lines_of
   implicit none (type, external)
   private
   public :: create_results, publish_results, open_results, close_results, accept_results
@@ -166,10 +166,9 @@ contains
   end subroutine write_scan
 
   !> Opens a results file, verifies its checksum, and reads its numbers, except the parameters of
-  !> points; task outputs are read one by one (`read_task_output`). The file is not trusted: its
-  !> datasets must be those that follow from its namelist, also those that are not read; otherwise
-  !> the error has the code `exit_bad_input`. A file of another version has other datasets; as for a
-  !> damaged file, the code is `exit_failure`.
+  !> points; task outputs are read one by one (`read_task_output`). Its datasets must be those that
+  !> follow from its namelist; otherwise the error has the code `exit_bad_input`. A file of another
+  !> version has other datasets; as for a damaged file, the code is `exit_failure`.
   subroutine open_results(name, file, results, output_datasets, error)
     !> Path of the file.
     character(len=*), intent(in) :: name
@@ -238,8 +237,8 @@ contains
     if (status /= 0) plan%initial_fingerprint = 0
   end subroutine read_plan
 
-  !> Reads the numbers of every task. Statuses, seeds and hosts must be valid, since the use of the
-  !> other numbers depends on them.
+  !> Reads the numbers of every task. Seeds and hosts of complete tasks must be valid, since the use
+  !> of the other numbers depends on them.
   subroutine read_tasks(file, plan, results, error)
     type(hdf5_file_type), intent(in) :: file
     type(plan_type), intent(in) :: plan
@@ -259,10 +258,6 @@ contains
     host = place_of('provenance/host', counted_quantities())
     do p = 1, plan%point_count
       do r = 1, plan%replicas
-        if (results%task_status(r, p) < task_complete .or. results%task_status(r, p) &
-          > task_not_asked) call check_status(file, '/task_status', &
-          'has a number without meaning', 1, error)
-        if (allocated(error)) return
         if (results%task_status(r, p) /= task_complete) cycle
         setup = setup_of(plan, p, r)
         if (results%seed(r, p) /= setup%seed) call check_status(file, '/seed', &
@@ -285,7 +280,6 @@ contains
     type(error_type), allocatable, intent(inout) :: error
     type(output_extents_type) :: largest
     integer(int64) :: series(3)
-    real(dp) :: entries
 
     if (all(results%task_status /= task_complete)) return
     largest%replicas = plan%replicas
@@ -293,15 +287,10 @@ contains
     if (plan%series_interval > 0.0_wp) then
       series = extents_of(file, '/series/urn1_number', 3, error)
       if (allocated(error)) return
-      entries = real(series(1), dp)
-      if (entries < 1.0_dp .or. entries > most_numbers .or. (plan%duration > 0.0_wp .and. entries &
-        > real(2.0_wp + plan%duration/plan%series_interval, dp))) then
-        call check_status(file, '/series/urn1_number', 'has '//to_text(series(1)) &
-          //' entries, which is '//'not the length of a series by the namelist in the file', 1, &
-          error)
-      else
-        call check_memory_of(bytes_per_entry*entries, '/series', file, error)
-      end if
+      call check_memory_of(bytes_per_entry*real(series(1), dp), '/series', file, error)
+      if (.not. allocated(error) .and. (series(1) < 1 .or. series(1) > int(most_numbers, int64))) &
+        call check_status(file, '/series/urn1_number', 'has no length that a series can have', 1, &
+        error)
       if (allocated(error)) return
       largest%entries = int(series(1))
     end if
