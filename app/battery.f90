@@ -16,6 +16,7 @@ program battery
   use battery_provenance, only: version_text
   use battery_self_test, only: run_self_test
   use battery_signals, only: watch_signals
+  use battery_startup, only: accept_output
   use battery_process, only: exit_process, exit_after
   use battery_terminal, only: guard_streams, print_line, print_error, all_was_printed
   use battery_text, only: string_type
@@ -77,10 +78,18 @@ contains
     type(plan_type) :: plan
     !> Ranks on this node, which share its memory.
     integer :: node_ranks
+    character(len=:), allocatable :: message
 
     node_ranks = ranks_on_node(communicator)
     call read_plan_once(command_line%file, communicator, plan, error)
     if (allocated(error)) return
+    if (command_line%accept) then
+      if (communicator%rank == 0) call accept_output(plan, message, error)
+      call share_error(communicator, error)
+      if (communicator%rank == 0 .and. .not. (allocated(error) .or. command_line%quiet)) &
+        call print_line(message)
+      return
+    end if
     call set_time_limit(plan)
     call check_estimate(plan, node_ranks, error)
     call share_error(communicator, error)

@@ -7,6 +7,7 @@ import importlib
 import math
 import os
 import sys
+import warnings
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, NoReturn
 
@@ -72,9 +73,16 @@ def add_output(options: argparse.ArgumentParser) -> None:
     )
 
 
+def add_verify(options: argparse.ArgumentParser) -> None:
+    """Add `--verify`."""
+    text = "read every file as a whole, and check the digest at its end"
+    options.add_argument("--verify", action="store_true", help=text)
+
+
 def add_task(options: argparse.ArgumentParser) -> None:
     """Add a file of results, and `--point` and `--replica` that choose a task in it."""
     options.add_argument("file", metavar="FILE.h5", type=Path)
+    add_verify(options)
     for key, meaning in (("point", "parameter point"), ("replica", "replica")):
         help_text = f"{meaning}, from 1 (default: the first done)"
         options.add_argument(f"--{key}", type=integer(1), help=help_text)
@@ -178,7 +186,8 @@ def run(main: Callable[[list[str] | None], int], arguments: list[str] | None = N
     """
     try:
         try:
-            with progress.told():
+            with progress.told(), warnings.catch_warnings():
+                warnings.showwarning = _show_warning
                 return main(arguments)
         finally:
             sys.stdout.flush()
@@ -197,6 +206,11 @@ def printable(text: str) -> str:
     """Return text that is safe on a terminal: control characters are shown as escapes."""
     shown = (one if one.isprintable() else ascii(one)[1:-1] for one in text)
     return "".join(shown)
+
+
+def _show_warning(message: Warning | str, *_: object) -> None:
+    """Print a warning in one line, without the place in the code that it is from."""
+    print(f"warning: {printable(' '.join(str(message).split()))}", file=sys.stderr)
 
 
 def _system_message(problem: OSError) -> str:

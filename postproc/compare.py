@@ -28,9 +28,10 @@ def main(arguments: list[str] | None = None) -> int:
     """Print the differences of each theory from the runs."""
     options = cli.parser("compare", __doc__)
     options.add_argument("files", metavar="FILE.h5", type=Path, nargs="+")
+    cli.add_verify(options)
     options.add_argument("--json", action="store_true", help="print JSON")
     given = options.parse_args(arguments)
-    with opened(given.files) as files:
+    with opened(given.files, verify=given.verify) as files:
         found = compare(files)
         for results in files:
             results.say_if_partial()

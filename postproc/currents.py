@@ -19,7 +19,7 @@ def main(arguments: list[str] | None = None) -> int:
     add_models(options)
     cli.add_output(options)
     given = options.parse_args(arguments)
-    with Results(given.file) as results:
+    with Results(given.file, verify=given.verify) as results:
         models = named(given.model) if given.model else PAIR
         made = figure_currents(results, *results.task(given.point, given.replica), models)
         results.say_if_partial()

@@ -25,7 +25,7 @@ def main(arguments: list[str] | None = None) -> int:
     given = options.parse_args(arguments)
     if not 0.0 < given.seconds <= 3600.0:
         raise cli.InputError(f"--seconds {given.seconds} must lie above 0 and up to 3600")
-    with Results(given.file) as results:
+    with Results(given.file, verify=given.verify) as results:
         scenes = read_scenes(results, *results.task(given.point, given.replica))
         results.say_if_partial()
     if not joined(scenes.times):

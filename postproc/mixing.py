@@ -29,12 +29,13 @@ def main(arguments: list[str] | None = None) -> int:
     """Print the mixing of the urns of runs, and its effect on the chain's lifetimes."""
     options = cli.parser("mixing", __doc__)
     options.add_argument("files", metavar="FILE.h5", type=Path, nargs="+")
+    cli.add_verify(options)
     options.add_argument(
         "--occupation", action="store_true", help="tell those in the channels from those in urns"
     )
     options.add_argument("--json", action="store_true", help="print JSON")
     given = options.parse_args(arguments)
-    with opened(given.files) as files:
+    with opened(given.files, verify=given.verify) as files:
         for results in files:
             if results.shape != "circuit":
                 raise cli.InputError(f"{results.path}: a run of shape '{results.shape}'")

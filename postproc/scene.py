@@ -21,7 +21,7 @@ def main(arguments: list[str] | None = None) -> int:
     options.add_argument("--snapshot", type=int, help="which snapshot, from 1 (default: the last)")
     cli.add_output(options)
     given = options.parse_args(arguments)
-    with Results(given.file) as results:
+    with Results(given.file, verify=given.verify) as results:
         index = -1 if given.snapshot is None else given.snapshot - 1
         if given.snapshot is not None and given.snapshot < 1:
             raise cli.InputError(f"--snapshot {given.snapshot} must be at least 1")

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import pytest
-from attack import damage, extremes, foreign, kills, together
+from attack import damage, extremes, kills, together
 from attack.common import trials
 
 ATTACKS = {"kills": kills.campaign, "damage": damage.attack, "extremes": extremes.attack,
-           "together": together.attack, "foreign": foreign.attack}
+           "together": together.attack}
 # How many trials are made always, and how many if there are minutes.
 FEW = {"kills": 1, "extremes": 4}
-MANY = {"kills": 4, "damage": 16, "extremes": 16, "together": 4, "foreign": 40}
+MANY = {"kills": 4, "damage": 16, "extremes": 16, "together": 4}
 
 
 @pytest.mark.parametrize(("name", "numbers"), [

@@ -13,7 +13,6 @@ from support.program import namelist, run
 import postproc
 from postproc.cli import InputError
 from postproc.reading.grid import PARAMETERS
-from postproc.reading.seal import LENGTH
 from postproc.tests.runs import edited, leave_out
 from postproc.theory.circuit import Circuit, single_urn_current
 from postproc.theory.models import MODELS, describe
@@ -172,13 +171,23 @@ def test_files_of_the_version_before_are_read(tmp_path: Path) -> None:
     assert after.equals(before)
 
 
+def test_a_file_that_was_opened_for_writing_is_read_with_one_warning(tmp_path: Path) -> None:
+    """So is one to which something was added, and one that is open, also in this Python."""
+    path = results_of(tmp_path, {"threshold": "3, 7"})
+    before = postproc.open_results(path)
+    with h5py.File(path, "a") as file:
+        assert postproc.open_results(path).identical(before)
+        file.attrs["remark"] = "of its reader"
+    with pytest.warns(UserWarning, match="has no digest at its end") as warned:
+        after = postproc.open_results(path)
+    assert len(warned) == 1
+    assert after.attrs.pop("remark") == "of its reader"
+    assert after.identical(before)
+
+
 def other_version(path: Path) -> None:
     with edited(path) as file:
         file.attrs["version"] = np.bytes_("3.0.0")
-
-
-def without_a_seal(path: Path) -> None:
-    path.write_bytes(path.read_bytes()[:-LENGTH])
 
 
 def another_grid(path: Path) -> None:
@@ -186,10 +195,9 @@ def another_grid(path: Path) -> None:
         file.attrs["scan"] = np.bytes_("")
 
 
-def damaged(path: Path) -> None:
-    content = bytearray(path.read_bytes())
-    content[len(content) // 2] ^= 255
-    path.write_bytes(content)
+def lengthened(path: Path) -> None:
+    content = path.read_bytes()
+    path.write_bytes(content[:5000] + content[4000:])
 
 
 def cut(path: Path) -> None:
@@ -202,9 +210,8 @@ def not_hdf5(path: Path) -> None:
 
 BAD = {
     other_version: r"of version 3.0.0 of battery; 0.1.x to 0.3.x can be read",
-    without_a_seal: "of a version before 0.2.0, or was changed: it has no digest at its end",
     another_grid: "damaged: its points do not fill the grid",
-    damaged: "damaged: its digest is wrong",
+    lengthened: "damaged: the digest at its end is not one of its length",
     cut: "only a piece of its file|no digest at its end",
     not_hdf5: "not an HDF5 file",
     lambda path: path.unlink(): "no such file",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import fcntl
 import random
 import shutil
 from typing import TYPE_CHECKING
@@ -23,9 +24,10 @@ CASE = {
 }
 
 
-def write(folder: Path, collisions: int = 20_000, **limits: str) -> None:
+def write(folder: Path, collisions: int = 20_000, replicas: int = 1, **limits: str) -> None:
     """Write the input."""
     case = {**CASE, "run": {"collisions": str(collisions)}, "limits": limits}
+    case["scan"] = {**CASE["scan"], "replicas": str(replicas)}
     (folder / "case.nml").write_text(namelist(**case))
 
 
@@ -56,12 +58,6 @@ def zero(path: Path, first: int, count: int) -> None:
 def cut(path: Path, size: int) -> None:
     """Keep the first bytes of a file; below 0: all but the last."""
     path.write_bytes(path.read_bytes()[:size])
-
-
-def without_chi(path: Path) -> None:
-    """Delete a dataset."""
-    with h5py.File(path, "r+") as file:
-        del file["chi"]
 
 
 DAMAGES: dict[str, Callable[[Path], None]] = {
@@ -119,22 +115,165 @@ def test_damage_is_noticed(whole: Path, tmp_path: Path, damage: str, ranks: int)
     assert_same(tmp_path / "out.h5", whole / "out.h5")
 
 
-@pytest.mark.parametrize("change", [lambda path: cut(path, -SEAL), without_chi])
-@pytest.mark.parametrize("words", [(), ("--check",)])
-def test_a_file_without_a_digest_is_left_alone(
-    whole: Path, tmp_path: Path, words: tuple[str, ...], change: Callable[[Path], None]
+def reopened(path: Path) -> None:
+    """Open a file for appending, and change nothing."""
+    h5py.File(path, "a").close()
+
+
+def remarked(path: Path) -> None:
+    """Add an attribute."""
+    with h5py.File(path, "r+") as file:
+        file.attrs["remark"] = "of its reader"
+
+
+def rewritten(path: Path) -> None:
+    """Write all anew in HDF5's latest format."""
+    old = path.rename(path.with_name("old.h5"))
+    with h5py.File(old) as file, h5py.File(path, "w", libver="latest") as new:
+        for name in file:
+            file.copy(name, new)
+        for name, value in file.attrs.items():
+            new.attrs[name] = value
+    old.unlink()
+
+
+@pytest.mark.parametrize("change", [reopened, remarked, rewritten])
+def test_a_file_that_lost_its_digest_is_left_alone_until_it_is_accepted(
+    whole: Path, tmp_path: Path, change: Callable[[Path], None]
 ) -> None:
-    """It is of before there were digests, or another program changed it: one line, exit 2."""
+    """Runs and `--check` end with one line and exit 2; once it is accepted, the file grows."""
+    write(tmp_path, replicas=2)
+    assert run("--quiet", "case.nml", folder=tmp_path).returncode == 0
+    undisturbed = (tmp_path / "out.h5").rename(tmp_path / "undisturbed.h5")
     write(tmp_path)
     shutil.copy(whole / "out.h5", tmp_path)
     change(tmp_path / "out.h5")
     before = listing(tmp_path)
-    ended = run(*words, "case.nml", folder=tmp_path)
-    assert ended.returncode == 2
-    assert "out.h5 is of a version before 0.2.0, or was changed" in ended.stderr
-    assert "--overwrite" in ended.stderr
+    for words in ((), ("--check",)):
+        ended = run(*words, "case.nml", folder=tmp_path)
+        assert ended.returncode == 2
+        assert "out.h5 was changed by another program" in ended.stderr
+        assert "battery --accept FILE.nml" in ended.stderr
+        assert "--overwrite" not in ended.stderr
+        assert ended.stderr.count("\n") == 1
+        assert listing(tmp_path) == before
+    ended = run("--accept", "case.nml", folder=tmp_path, ranks=2)
+    assert (ended.returncode, ended.stderr) == (0, "")
+    assert "out.h5: accepted as it is" in ended.stdout
+    assert "2 complete tasks" in ended.stdout
+    assert listing(tmp_path).keys() == before.keys()
+    assert "is complete" in run("case.nml", folder=tmp_path).stdout
+    write(tmp_path, replicas=2)
+    assert "going on: 2 of 4" in run("case.nml", folder=tmp_path).stdout
+    assert_same(tmp_path / "out.h5", undisturbed)
+
+
+def without_chi(path: Path) -> None:
+    """Delete a dataset."""
+    with h5py.File(path, "r+") as file:
+        del file["chi"]
+
+
+def another_seed(path: Path) -> None:
+    """Exchange the seeds of two tasks."""
+    with h5py.File(path, "r+") as file:
+        file["seed"][...] = file["seed"][()][::-1]
+
+
+def shorter(path: Path) -> None:
+    """Drop the last particle."""
+    with h5py.File(path, "r+") as file:
+        values = file["final/x"][..., :-1]
+        del file["final/x"]
+        file["final/x"] = values
+
+
+def no_numbers(path: Path) -> None:
+    """Store compressed values that cannot be inflated."""
+    with h5py.File(path, "r+") as file:
+        shape = file["final/x"].shape
+        del file["final/x"]
+        new = file.create_dataset("final/x", shape, "f8", chunks=shape, compression="gzip")
+        new.id.write_direct_chunk((0, 0, 0), b"spoilt")
+
+
+def linked(path: Path) -> None:
+    """Put a link to another results file in the place of a dataset that would fit."""
+    shutil.copy(path, path.with_name("other.h5"))
+    with h5py.File(path, "r+") as file:
+        del file["chi"]
+        file["chi"] = h5py.ExternalLink("other.h5", "/chi")
+
+
+def outside(path: Path) -> None:
+    """Store a dataset in another file."""
+    path.with_name("secret").write_bytes(bytes(64))
+    with h5py.File(path, "r+") as file:
+        shape = file["chi"].shape
+        del file["chi"]
+        file.create_dataset("chi", shape, "f8", external=[("secret", 0, h5py.h5f.UNLIMITED)])
+
+
+def endless(path: Path) -> None:
+    """Claim a series of more entries than there is memory for."""
+    with h5py.File(path, "r+") as file:
+        del file["series/urn1_number"]
+        file.create_dataset("series/urn1_number", (2, 1, 10**14), "i4", chunks=(1, 1, 1000))
+
+
+@pytest.mark.parametrize(
+    ("change", "code", "said"),
+    [
+        (linked, 2, "/chi is a link out of its place"),
+        (outside, 2, "/chi does not lie in the file itself"),
+        (endless, 2, "no memory for /series"),
+        (without_chi, 2, "/chi is not there"),
+        (another_seed, 2, "/seed has a seed"),
+        (shorter, 2, "/final/x has the dimensions"),
+        (no_numbers, 2, "/final/x"),
+        (lambda path: cut(path, -SEAL - 1), 1, "damaged"),
+        (lambda path: flip(path, 80_000), 1, "damaged"),
+        (lambda path: path.write_bytes(b"no results"), 2, "not a results file"),
+        (lambda path: path.unlink(), 2, "there is no results file to accept"),
+    ],
+)
+def test_what_does_not_fit_is_not_accepted(
+    whole: Path, tmp_path: Path, change: Callable[[Path], None], code: int, said: str
+) -> None:
+    write(tmp_path)
+    shutil.copy(whole / "out.h5", tmp_path)
+    change(tmp_path / "out.h5")
+    before = listing(tmp_path)
+    ended = run("--accept", "case.nml", folder=tmp_path)
+    assert ended.returncode == code
+    assert said in ended.stderr
     assert ended.stderr.count("\n") == 1
     assert listing(tmp_path) == before
+
+
+def test_results_of_another_input_are_not_accepted(whole: Path, tmp_path: Path) -> None:
+    write(tmp_path, collisions=30_000)
+    shutil.copy(whole / "out.h5", tmp_path)
+    reopened(tmp_path / "out.h5")
+    before = listing(tmp_path)
+    ended = run("--accept", "case.nml", folder=tmp_path)
+    assert ended.returncode == 2
+    assert "collisions" in ended.stderr
+    assert listing(tmp_path) == before
+
+
+def test_a_file_that_is_open_for_writing_is_left_alone(whole: Path, tmp_path: Path) -> None:
+    """Notebooks keep files open, with a lock; what they will write is not known."""
+    write(tmp_path)
+    shutil.copy(whole / "out.h5", tmp_path)
+    for words in ((), ("--check",), ("--accept",)):
+        with (tmp_path / "out.h5").open("rb") as file:
+            fcntl.flock(file, fcntl.LOCK_EX)
+            ended = run(*words, "case.nml", folder=tmp_path)
+        assert ended.returncode == 2
+        assert "out.h5 is open in another program" in ended.stderr
+        assert "--overwrite" not in ended.stderr
+    assert "is complete" in run("case.nml", folder=tmp_path).stdout
 
 
 @pytest.fixture(scope="module")

@@ -64,12 +64,13 @@ def main(arguments: list[str] | None = None) -> int:
     options = cli.parser("figures", __doc__)
     options.add_argument("name", metavar="NAME", choices=sorted(FIGURES))
     options.add_argument("files", metavar="FILE.h5", type=Path, nargs="*")
+    cli.add_verify(options)
     add_models(options)
     cli.add_output(options)
     given = options.parse_args(arguments)
     if not given.files and given.name not in TABLES:
         raise cli.InputError(f"figure {given.name} needs at least one file of results")
-    with opened(given.files) as files:
+    with opened(given.files, verify=given.verify) as files:
         for results in files:
             if results.shape != SHAPES.get(given.name, "circuit"):
                 raise cli.InputError(

@@ -42,7 +42,11 @@ URN_THEORY = {"theory_current1": ("1/time", "hits on the end wall")}
 
 
 def open_results(
-    file: str | Path, *, theory: str | Sequence[str] = (), group: str | None = None
+    file: str | Path,
+    *,
+    theory: str | Sequence[str] = (),
+    group: str | None = None,
+    verify: bool = False,
 ) -> xr.Dataset:
     """Return a results file as a dataset on the grid of its scan.
 
@@ -57,6 +61,7 @@ def open_results(
         `theory_...` have its results; several models become a dimension `theory`. Models that draw
         numbers take seconds a point, and have errors.
     group : what to read in place of the averages: "series", "snapshots", "final" or "events".
+    verify : whether to read the whole file and check its digest, which detects any damage.
 
     Returns
     -------
@@ -78,28 +83,27 @@ def open_results(
     if not (group is None or (isinstance(group, str) and group in GROUPS)):
         raise InputError(f"there is no group {group!r}; there are {', '.join(GROUPS)}")
     path = path_of(file, "file")
-    with Results(path) as results:
+    with Results(path, verify=verify) as results:
         if group is not None and not results.has(group):
             raise InputError(f"{path}: has no {group}")
         axes = results.axes()
         added = _theory(results, models) if models and group is None else {}
-        attributes = dict(results.attributes)
         data = results.dataset()
         inner = results.dataset(group) if group is not None else None
-    known = data["task_status"] == COMPLETE
-    asked = int((data["task_status"] != NOT_ASKED).sum())
-    attributes["tasks"] = f"{int(known.sum())} of {asked} tasks are complete"
-    points = data[[name for name in PARAMETERS if name in data]]
-    if inner is None:
-        data = data.drop_vars(list(points.data_vars)).assign(added)
-    else:
-        data = inner.assign_coords(replica=data["replica"])
-        points = points.drop_vars(list(data.variables), errors="ignore")
-    data = data.map(lambda one: _masked(one, known)).assign_coords(points.data_vars)
-    data = _on_grid(_with_second_radius(data, axes), axes)
+        known = data["task_status"] == COMPLETE
+        asked = int((data["task_status"] != NOT_ASKED).sum())
+        points = data[[name for name in PARAMETERS if name in data]]
+        if inner is None:
+            data = data.drop_vars(list(points.data_vars)).assign(added)
+        else:
+            data = inner.assign_coords(replica=data["replica"])
+            points = points.drop_vars(list(data.variables), errors="ignore")
+        data = data.map(lambda one: _masked(one, known)).assign_coords(points.data_vars)
+        data = _on_grid(_with_second_radius(data, axes), axes)
+        data.attrs = dict(results.attributes)
     if isinstance(theory, str) and "theory" in data.dims:
         data = data.isel(theory=0)
-    data.attrs = attributes
+    data.attrs["tasks"] = f"{int(known.sum())} of {asked} tasks are complete"
     return data
 
 

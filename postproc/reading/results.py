@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import errno
 import math
+import os
+import resource
 import sys
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from functools import cached_property
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import h5py
@@ -14,27 +18,13 @@ import numpy as np
 import xarray as xr
 
 from postproc.cli import InputError, existing_file
-from postproc.reading.layout import (
-    DATASETS,
-    FLOWS,
-    LENGTHS,
-    NUMBERS,
-    PARTICLES,
-    SCANNED,
-    TEXTS,
-    VERSION,
-    check_layout,
-    check_memory,
-    text_of,
-)
 from postproc.reading.seal import check_seal
 from postproc.theory.circuit import Circuit
 from postproc.theory.gates import WINDOW
 from postproc.theory.outlines import outline_of, regular
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-    from pathlib import Path
+    from collections.abc import Iterable, Iterator, Sequence
 
     from numpy.typing import NDArray
 
@@ -44,11 +34,12 @@ if TYPE_CHECKING:
 NEEDED = ("number", "threshold", "channel1_width", "channel2_width", "current1")
 #: Arrays up to this size in bytes are read once, and as a whole.
 KEPT = 1 << 28
+LENGTHS = ("channel1_width", "channel2_width", "channel1_length", "channel2_length")
+FLOWS = ("flow1_12", "flow1_21", "flow2_12", "flow2_21")
+TEXTS, NUMBERS = ("units", "long_name", "flag_meanings"), ("_FillValue", "flag_values")
 COMPLETE, NOT_ASKED = 0, 3  # values of `task_status`
 TWO_STATES = 2  # value of `point_status`
 POLARISED = 0.15  # chi above which a state is called polarised
-LEAST, MOST = 1e-100, 1e100  # of lengths
-CORNERS = 1000  # largest number for an urn
 FEW = 4  # replicas that may agree by chance
 READABLE = ("0.1.", "0.2.", "0.3.")  # prefixes of the versions whose files are read
 
@@ -83,14 +74,14 @@ class Snapshot:
 class Results:
     """An open file of results; use it in a `with` statement."""
 
-    def __init__(self, path: Path) -> None:
-        """Open `path`; raise `InputError` unless it holds results of this program."""
+    def __init__(self, path: Path, *, verify: bool = False) -> None:
+        """Open `path`; raise `InputError` unless it holds results of this program.
+
+        With `verify` the whole file is read, and its digest must be right.
+        """
         self.path = path
-        check_seal(existing_file(path))
-        try:
-            self._file = h5py.File(path, "r")
-        except OSError as problem:
-            raise InputError(f"{path}: cannot be opened as an HDF5 file") from problem
+        check_seal(existing_file(path), verify=verify)
+        self._file = _hdf5(path)
         self._arrays: dict[str, NDArray[np.generic]] = {}
         try:
             self._check()
@@ -99,65 +90,41 @@ class Results:
             raise
 
     def _check(self) -> None:
-        """Raise `InputError` unless all data that are read are such as the program writes."""
-        missing = [name for name in NEEDED if name not in self._file]
+        """Raise `InputError` unless the file is one of a program whose files are read."""
+        missing = [name for name in NEEDED if not self.has(name)]
         if missing or "namelist" not in self._file.attrs:
             lacks = missing[0] if missing else "namelist"
             raise InputError(f"{self.path}: HDF5, but not written by battery (it has no {lacks})")
-        check_layout(self.path, self._file)
-        version = self.attributes.get("version", "")
-        if not (version.startswith(READABLE) and VERSION.fullmatch(version)):
+        version = self.attributes.get("version", "unknown")
+        if not version.startswith(READABLE):
             known = f"{READABLE[0]}x to {READABLE[-1]}x"
             raise InputError(
-                f"{self.path}: of version {version[:32] or 'unknown'} of battery; "
-                f"{known} can be read"
+                f"{self.path}: of version {version[:32]} of battery; {known} can be read"
             )
-        self._check_values()
-
-    def _check_values(self) -> None:
-        """Raise `InputError` unless parameters of points are such as the program accepts."""
-        number = self.value("number")
-        bounds = {
-            "number": (1, PARTICLES), "urn1_number": (0, number), "threshold": (0, 2**31),
-            "gate_threshold": (0, 2**31), "urn_radius": (LEAST, MOST),
-            "channel1_width": (LEAST, MOST), "channel1_length": (LEAST, MOST),
-            "channel2_width": (0, MOST), "channel2_length": (LEAST, MOST),
-            "task_status": (COMPLETE, NOT_ASKED), "point_status": (0, 3),
-        }  # fmt: skip
-        for name, (low, high) in bounds.items():
-            if not self.has(name):
-                continue
-            values = self.value(name)
-            if not ((low <= values) & (values <= high)).all():
-                raise InputError(f"{self.path}: {name} has values that no run can have")
-        for name in ("channel1_width", "channel2_width"):
-            widest = 2.0 * self.value("urn_radius").min(axis=1) if self.has("urn_radius") else MOST
-            disc = self.attributes.get("urn_shape", "disc") == "disc"
-            if disc and not (self.value(name) < widest).all():
-                raise InputError(f"{self.path}: {name} is wider than an urn")
-        for name in SCANNED:
-            greatest = MOST if name in LENGTHS else 2**31
-            if self.has(f"scan/{name}") and not (self.value(f"scan/{name}") <= greatest).all():
-                raise InputError(f"{self.path}: scan/{name} has values that no run can have")
-        for name in ("series/time", "snapshots/time"):
-            times = self.value(name) if self.has(name) else np.zeros(1)
-            in_order = name != "series/time" or np.all(np.diff(times) > 0.0)
-            if not (in_order and np.all(np.isfinite(times) & (times >= 0.0))):
-                raise InputError(f"{self.path}: {name} has times that no run can have")
-        self.scatterers  # noqa: B018 (it is read, so that what is wrong is found)
-        self.any_circuit(0)
 
     def __enter__(self) -> Results:
         """Return itself."""
         return self
 
     def __exit__(self, _: object, problem: BaseException | None, __: object) -> None:
-        """Close the file; raise `InputError` where HDF5 could not read from it."""
+        """Close the file; raise `InputError` if it cannot be read, or an error is due to damage."""
         self._file.close()
+        if not isinstance(problem, Exception) or isinstance(problem, InputError):
+            return
         # Errors of the system have a number, those of HDF5 have none.
-        if isinstance(problem, OSError) and problem.errno is None:
-            reason = " ".join(str(problem).split())
-            raise InputError(f"{self.path}: cannot be read ({reason})") from problem
+        if isinstance(problem, OSError) and problem.errno is not None:
+            return
+        reason = "cannot be read"
+        if not isinstance(problem, OSError):
+            # What a whole file leads to is a mistake of this program.
+            try:
+                check_seal(self.path, verify=True)
+            except InputError as damage:
+                reason = str(damage).removeprefix(f"{self.path}: ")
+            else:
+                return
+        told = " ".join(str(problem).split())
+        raise InputError(f"{self.path}: {reason} ({told})") from problem
 
     @cached_property
     def attributes(self) -> dict[str, str]:
@@ -165,33 +132,63 @@ class Results:
         return {name: text_of(value) for name, value in self._file.attrs.items()}
 
     def dataset(self, group: str | None = None) -> xr.Dataset:
-        """Return the datasets of the root or of a group, with dimensions as the list has them."""
+        """Return the datasets of the root or of a group, with the names of their dimensions."""
         inside = "" if group is None else f"{group}/"
         read = {}
-        for path in DATASETS:
-            name = path.removeprefix(inside)
-            if path.startswith(inside) and "/" not in name and path in self._file:
-                read[name] = self._file[path]
-        read.pop("event", None)
-        check_memory(self.path, read.values())
+        for name in self._file if group is None else self._found(group):
+            one = self._found(inside + name)
+            if isinstance(one, h5py.Dataset) and name != "event" and _dimensions(one) is not None:
+                read[name] = one
+        self._need_memory(read.values())
         variables = {}
         for name, one in read.items():
             attributes = {key: text_of(one.attrs[key]) for key in TEXTS if key in one.attrs}
             attributes |= {key: one.attrs[key] for key in NUMBERS if key in one.attrs}
-            variables[name] = (DATASETS[inside + name].dims, one[()], attributes)
+            variables[name] = (_dimensions(one), one[()], attributes)
         return xr.decode_cf(xr.Dataset(variables), decode_times=False)
 
     def has(self, name: str) -> bool:
         """Tell whether there is a dataset or group of that name."""
-        return name in self._file
+        return self._found(name) is not None
+
+    def _found(self, name: str) -> h5py.Dataset | h5py.Group | None:
+        """Return a dataset or group, None if there is none; it must lie in the file itself."""
+        found, words = self._file, name.split("/")
+        for word in words:
+            links = found.id.links if isinstance(found, h5py.Group) else None
+            if links is None or not links.exists(word.encode()):
+                return None
+            if links.get_info(word.encode()).type != h5py.h5l.TYPE_HARD:
+                raise InputError(f"{self.path}: {name} is a link out of its place")
+            found = found[word]
+        if isinstance(found, h5py.Dataset) and (found.is_virtual or found.external):
+            raise InputError(f"{self.path}: {name} does not lie in the file itself")
+        return found
+
+    def _dataset(self, name: str) -> h5py.Dataset:
+        """Return a dataset; raise `InputError` if there is none."""
+        found = self._found(name)
+        if not isinstance(found, h5py.Dataset):
+            raise InputError(f"{self.path}: has no {name}")
+        return found
+
+    def _need_memory(self, datasets: Iterable[h5py.Dataset]) -> None:
+        """Raise `InputError` if datasets that are read together do not fit into memory."""
+        needed = sum(one.nbytes for one in datasets)
+        if needed > (left := memory_left()):
+            here = f"bytes of memory, there are {left:.3g}"
+            raise InputError(f"{self.path}: needs {needed:.3g} {here}")
 
     def value(self, name: str) -> NDArray[np.float64]:
         """Return a whole dataset as floats, e.g. chi of shape (point, replica)."""
-        return np.array(self._array(name), float)
+        found = self._array(name)
+        if isinstance(found, h5py.Dataset):
+            self._need_memory([found])
+        return np.array(found, float)
 
     def unit(self, name: str) -> str:
         """Return the unit of a dataset."""
-        return text_of(self._file[name].attrs.get("units", ""))
+        return text_of(self._dataset(name).attrs.get("units", ""))
 
     @property
     def points(self) -> int:
@@ -212,9 +209,8 @@ class Results:
             return None
         found = {}
         for name in self.attributes["scan"].split():
-            self._need("scan", (name,))
-            axis = self._file["scan"][name]
-            whole = name in self._file and self._file[name].dtype.kind == "i"
+            axis = self._dataset(f"scan/{name}")
+            whole = self.has(name) and self._dataset(name).dtype.kind == "i"
             values = axis[()].astype(int) if whole else axis[()]
             attributes = {key: text_of(axis.attrs.get(key, "")) for key in ("units", "long_name")}
             found[name] = (values, attributes)
@@ -284,14 +280,8 @@ class Results:
     @cached_property
     def scatterers(self) -> tuple[tuple[float, float, float], ...]:
         """Discs in channel 2: z, y, radius of each."""
-        try:
-            values = [float(word) for word in self.attributes.get("scatterers", "").split()]
-            found = tuple(zip(values[0::3], values[1::3], values[2::3], strict=True))
-        except ValueError as problem:
-            raise InputError(f"{self.path}: scatterers are no z, y, radius of each") from problem
-        if not all(map(math.isfinite, values)):
-            raise InputError(f"{self.path}: scatterers are no numbers")
-        return found
+        values = [float(word) for word in self.attributes.get("scatterers", "").split()]
+        return tuple(zip(values[0::3], values[1::3], values[2::3], strict=True))
 
     def any_circuit(self, point: int) -> Circuit:
         """Return the circuit of a point, whose urns and gates may be unequal."""
@@ -320,22 +310,11 @@ class Results:
             return {}
         root = self._file.attrs
         if "urn_sides" in root:
-            sides = np.ravel(root["urn_sides"])[0].item()
-            if not (4 <= sides <= CORNERS and sides % 2 == 0):
-                raise InputError(f"{self.path}: urn_sides is {sides}")
-            one, two = (regular(int(sides), radius) for radius in radii)
+            sides = int(np.ravel(root["urn_sides"])[0])
+            one, two = (regular(sides, radius) for radius in radii)
         else:
-            one, two = (
-                outline_of(self._corners(name)) for name in ("urn_vertices", "urn2_vertices")
-            )
+            one, two = (outline_of(root[name]) for name in ("urn_vertices", "urn2_vertices"))
         return {"outline": one, "urn2_outline": two if two != one else None}
-
-    def _corners(self, name: str) -> NDArray[np.float64]:
-        """Return the corners of an urn, shape (corner, 2)."""
-        found = np.asarray(self._file.attrs.get(name, math.nan), float)
-        if found.ndim != 2 or found.shape[1] != 2 or len(found) < 3 or not np.isfinite(found).all():
-            raise InputError(f"{self.path}: {name} are no corners of an urn")
-        return found
 
     def beyond_theory(self, point: int) -> bool:
         """Tell whether a table has scatterers or unequal sides: no theory of figures applies."""
@@ -361,11 +340,10 @@ class Results:
     def _array(self, name: str) -> h5py.Dataset | NDArray[np.generic]:
         """Return a dataset: read once, and as a whole, unless it is large."""
         if name not in self._arrays:
-            if name not in self._file:
-                raise InputError(f"{self.path}: has no {name}")
-            dataset = self._file[name]
+            dataset = self._dataset(name)
             if dataset.nbytes > KEPT:
                 return dataset
+            self._need_memory([dataset])
             self._arrays[name] = dataset[()]
         return self._arrays[name]
 
@@ -413,10 +391,9 @@ class Results:
 
         Raises `InputError` if none was requested.
         """
-        if "series/time" not in self._file:
+        if not self.has("series/time"):
             raise InputError(f"{self.path}: has no series (set series_interval in &output)")
         self._check_task(point, replica)
-        self._need("series", ("urn1_number", *FLOWS))
         time = np.asarray(self._array("series/time"), float)
         number = self._array("series/urn1_number")[point, replica]
         flows = {
@@ -432,9 +409,9 @@ class Results:
 
     def snapshot_times(self) -> NDArray[np.float64]:
         """Return the times of the snapshots; raise `InputError` if there are none."""
-        if "snapshots/time" not in self._file or self._file["snapshots/time"].size == 0:
+        if not (self.has("snapshots/time") and self.value("snapshots/time").size):
             raise InputError(f"{self.path}: has no snapshots (set snapshot_times in &output)")
-        return np.asarray(self._file["snapshots/time"][()], float)
+        return self.value("snapshots/time")
 
     def snapshot(self, point: int, replica: int, index: int) -> Snapshot:
         """Return one snapshot of a task; `index` counts from 0, or from the end if negative."""
@@ -452,12 +429,10 @@ class Results:
 
     def _snapshots(self, point: int, replica: int, part: slice) -> list[Snapshot]:
         names = ("x", "y", "ux", "uy")
-        self._need("snapshots", names)
         times = self.snapshot_times()[part]
-        count = int(self._file["number"][point])
-        states = np.array(
-            [self._file[f"snapshots/{name}"][point, replica, part, :count] for name in names], float
-        )
+        count = int(self._of_point("number", point))
+        columns = [self._dataset(f"snapshots/{name}") for name in names]
+        states = np.array([one[point, replica, part, :count] for one in columns], float)
         reached = np.isfinite(states[0]).all(axis=1)
         if not reached.all():
             first = times[~reached][0]
@@ -466,16 +441,11 @@ class Results:
 
     def events(self) -> dict[str, NDArray[np.float64]]:
         """Return the event log (time, kind, where, particle), empty if there is none."""
-        if "events/time" not in self._file:
+        if not self.has("events/time"):
             return {}
         return {
             name: self.value(f"events/{name}") for name in ("time", "kind", "where", "particle")
         }
-
-    def _need(self, group: str, names: tuple[str, ...]) -> None:
-        missing = [name for name in names if f"{group}/{name}" not in self._file]
-        if missing:
-            raise InputError(f"{self.path}: has no {group}/{missing[0]}")
 
     def _check_task(self, point: int, replica: int) -> None:
         for what, index, count in (
@@ -486,11 +456,63 @@ class Results:
                 raise InputError(f"{self.path}: has {count} {what}(s), there is no {index + 1}")
 
 
+def _hdf5(path: Path) -> h5py.File:
+    """Return an open file; without HDF5's lock, which some network disks refuse.
+
+    Where this Python has the file open with a lock, HDF5 opens it again only with one.
+    """
+    try:
+        return h5py.File(path, "r", locking=False)
+    except OSError:
+        try:
+            return h5py.File(path, "r")
+        except OSError as problem:
+            reason = " ".join(str(problem).split())
+            if problem.errno == errno.EAGAIN:
+                reason = "is open in another program, which may change it; close it there"
+            raise InputError(f"{path}: {reason}") from problem
+
+
+def _dimensions(dataset: h5py.Dataset) -> tuple[str, ...] | None:
+    """Return the names of the dimensions of a dataset; None if it is not of this program.
+
+    They are read from its attributes: HDF5's own calls crash at damaged ones (`H5DSis_scale`).
+    """
+    if dataset.attrs.get("CLASS") == b"DIMENSION_SCALE":
+        return (dataset.name.rpartition("/")[2],)
+    scales = dataset.attrs.get("DIMENSION_LIST", ())
+    if len(scales) == 0 or not all(len(references) for references in scales):
+        return None
+    return tuple(dataset.file[one[0]].name.rpartition("/")[2] for one in scales)
+
+
+def memory_left() -> float:
+    """Return the bytes available for data; half of the memory is left for computations."""
+    meminfo = Path("/proc/meminfo")
+    lines = meminfo.read_text(encoding="ascii").splitlines() if meminfo.exists() else []
+    free = [1024.0 * float(one.split()[1]) for one in lines if one.startswith("MemAvailable:")]
+    left = min(free, default=math.inf)
+    limit = resource.getrlimit(resource.RLIMIT_AS)[0]
+    if limit != resource.RLIM_INFINITY:
+        pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[0])
+        left = min(left, limit - pages * os.sysconf("SC_PAGE_SIZE"))
+    return 0.5 * left
+
+
+def text_of(value: object) -> str:
+    """Return an attribute as printable text, whatever its bytes are."""
+    if isinstance(value, np.ndarray):
+        value = value.ravel()[0] if value.size else ""
+    if isinstance(value, bytes):
+        value = value.decode("utf-8", "replace")
+    return str(value).encode("utf-8", "replace").decode("utf-8").rstrip()
+
+
 @contextmanager
-def opened(paths: Sequence[Path]) -> Iterator[list[Results]]:
+def opened(paths: Sequence[Path], *, verify: bool = False) -> Iterator[list[Results]]:
     """Open several files of results for a `with` statement."""
     with ExitStack() as stack:
-        yield [stack.enter_context(Results(path)) for path in paths]
+        yield [stack.enter_context(Results(path, verify=verify)) for path in paths]
 
 
 def mean_and_error(

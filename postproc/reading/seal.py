@@ -1,12 +1,15 @@
 """The seal of a results file: its last 512 bytes, with the digest of all bytes before them.
 
 The program writes it (`src/store/checksum_footer.f90`). It is valid if it is exactly the text that
-follows from the bytes before it. HDF5 ignores it, since it is behind the end of the HDF5 data.
+follows from the bytes before it. HDF5 ignores it, since it is behind the end of the HDF5 data; but
+it cuts it off when a program opens the file for writing.
 """
 
 from __future__ import annotations
 
 import hashlib
+import re
+import warnings
 from typing import TYPE_CHECKING
 
 from postproc.cli import InputError
@@ -19,7 +22,8 @@ FIRST_LINE = "battery results 1"
 REMARK = "Before these 512 bytes is HDF5; head -c -512 FILE | sha256sum gives the digits above."
 MARK = b"initial_file_fingerprint"  # near the beginning of every file of the program
 PIECE = 2**20  # bytes that are read at once
-END = slice(40, 48)  # length of the file in HDF5's superblock
+# Offsets of the length of the file in HDF5's superblock, by its version.
+ENDS = (40, 44, 28, 28)
 
 
 def seal_of(count: int, digits: str) -> bytes:
@@ -28,27 +32,58 @@ def seal_of(count: int, digits: str) -> bytes:
     return f"{text:{LENGTH - 1}}\n".encode("ascii")
 
 
-def check_seal(path: Path) -> None:
-    """Raise `InputError` unless the file is intact, and `OSError` if it cannot be read."""
-    digest, first = hashlib.sha256(), b""
+def check_seal(path: Path, *, verify: bool = False) -> None:
+    """Raise `InputError` unless a file ends with a seal for its length.
+
+    A file that another program has opened for writing has lost its seal; it may still be whole, so
+    there is only a warning.
+
+    Parameters
+    ----------
+    path : the file.
+    verify : whether to read the whole file, and require its digest.
+    """
+    size = path.stat().st_size
     with path.open("rb") as file:
-        left = content = max(path.stat().st_size - LENGTH, 0)
-        while left and (piece := file.read(min(left, PIECE))):
-            digest.update(piece)
-            first = first or piece
-            left -= len(piece)
+        first = file.read(PIECE)
+        file.seek(max(size - LENGTH, 0))
         seal = file.read()
-    if seal == seal_of(content, digest.hexdigest()):
-        return
-    first = first or seal
-    if seal.startswith(FIRST_LINE.encode()) or REMARK.encode() in seal:
-        reason = "damaged: its digest is wrong"
-    elif MARK in first and int.from_bytes(first[END], "little") == path.stat().st_size:
-        reason = "of a version before 0.2.0, or was changed: it has no digest at its end"
+    found = re.search(rb"\nsha256 ([0-9a-f]{64})\n", seal)
+    digits = found[1].decode() if found else ""
+    lost = MARK in first and _end_in_hdf5(first) == size
+    if seal == seal_of(size - LENGTH, digits):
+        if verify and _digest(path, size - LENGTH) != digits:
+            raise InputError(f"{path}: damaged: its digest is wrong")
+    elif seal.startswith(FIRST_LINE.encode()) or REMARK.encode() in seal:
+        raise InputError(f"{path}: damaged: the digest at its end is not one of its length")
+    elif lost and not verify:
+        message = (
+            f"{path}: was changed by another program, or is of a version before 0.2.0: it has no "
+            "digest at its end; it is read as it is (battery --accept FILE.nml gives it a new one)"
+        )
+        warnings.warn(message, stacklevel=4)
     elif MARK in first:
-        reason = "damaged: it has no digest at its end"
+        reason = "cannot be verified" if lost else "damaged"
+        raise InputError(f"{path}: {reason}: it has no digest at its end")
     elif first.startswith(b"\x89HDF"):
         raise InputError(f"{path}: HDF5, but not written by battery, or only a piece of its file")
     else:
         raise InputError(f"{path}: not an HDF5 file")
-    raise InputError(f"{path}: {reason}; battery --overwrite makes it again")
+
+
+def _digest(path: Path, count: int) -> str:
+    """Return the SHA-256 digest of the first bytes of a file, in hexadecimal."""
+    digest = hashlib.sha256()
+    with path.open("rb") as file:
+        while count and (piece := file.read(min(count, PIECE))):
+            digest.update(piece)
+            count -= len(piece)
+    return digest.hexdigest()
+
+
+def _end_in_hdf5(first: bytes) -> int:
+    """Return the length of a file according to HDF5's superblock; -1 if there is none."""
+    version = first[8] if len(first) > max(ENDS) + 8 else len(ENDS)
+    if version >= len(ENDS):
+        return -1
+    return int.from_bytes(first[ENDS[version] :][:8], "little")

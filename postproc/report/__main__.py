@@ -20,11 +20,12 @@ def main(arguments: list[str] | None = None) -> int:
     """Write FILE.html."""
     options = cli.parser("report", __doc__)
     options.add_argument("file", metavar="FILE.h5", type=Path)
+    cli.add_verify(options)
     add_models(options)
     cli.add_output(options)
     given = options.parse_args(arguments)
     models = {one.name: one for one in named(given.model or DEFAULT)}
-    with Results(given.file) as results:
+    with Results(given.file, verify=given.verify) as results:
         text = cli.extra("report", "postproc.report.page").page(results, models)
         results.say_if_partial()
     path = cli.output_folder(given.output) / f"{given.file.stem}.html"

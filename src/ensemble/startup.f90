@@ -3,24 +3,27 @@ module battery_startup
   use battery_kinds, only: wp, dp, int64
   use battery_build_information, only: program_version
   use battery_communicator, only: communicator_type, share_error, share_words
+  use battery_checksum_footer, only: check_footer
   use battery_current_age, only: current_remark
   use battery_error, only: error_type, fatal_error, exit_failure, exit_bad_input
   use battery_files, only: file_exists, remove_file
   use battery_journal, only: journal_type, read_plan, task_ids_in, begin_journal, join_journal, &
     rank_files_in
   use battery_journal_folder, only: check_journal, remove_journal
+  use battery_lock_file, only: lock_type, acquire_lock, release_lock
   use battery_merge, only: collect_results, sources_type, close_sources
   use battery_metadata, only: read_metadata
   use battery_namelist_input, only: differing_keys, parse_namelist
   use battery_plan, only: plan_type
   use battery_results, only: results_type, task_complete, point_undecided
+  use battery_results_file, only: accept_results
   use battery_tasks, only: task_type, task_count, task_of, sort_longest_first, task_index_type, &
     task_index_of, task_number_of
   use battery_terminal, only: print_line
-  use battery_text, only: string_type, to_text, new_line_character
+  use battery_text, only: string_type, to_text, count_text, new_line_character
   implicit none (type, external)
   private
-  public :: find_pending_tasks, progress_type, inspect_output, further_text
+  public :: find_pending_tasks, progress_type, inspect_output, further_text, accept_output
 
   !> Progress of an ensemble.
   type :: progress_type
@@ -36,10 +39,6 @@ module battery_startup
     !> below 0 if no point is decided.
     real(dp) :: expected = -1.0_dp
   end type progress_type
-
-  !> Advice for the user if another file has the name of the results file.
-  character(len=*), parameter :: leave_it = ', but is there already; name another output file, ' &
-    //'move it away, or discard it with --overwrite'
 
 contains
 
@@ -133,10 +132,7 @@ contains
     call join_journal(journal, journal_folder(plan), rank_files_in(journal_folder(plan)), 0, 0)
     call collect_results(plan, journal, .false., results, failures, replicas_needed, sources, error)
     call close_sources(sources)
-    if (allocated(error)) then
-      error%message = error%message//leave_it
-      return
-    end if
+    if (allocated(error)) return
     progress%finished = count(results%task_status == task_complete)
     if (progress%complete) then
       message = plan%file//' is complete; --overwrite runs it again'
@@ -219,21 +215,16 @@ contains
     type(error_type), allocatable, intent(out) :: damage
     !> The file is of another input, or no results file; code `exit_bad_input`.
     type(error_type), allocatable, intent(out) :: error
-    character(len=:), allocatable :: version, before, status, fingerprint
-    integer(int64) :: initial_fingerprint
+    character(len=:), allocatable :: version, status
     logical :: same
-    integer :: unread
 
     complete = .false.
     if (.not. file_exists(plan%file)) return
-    call read_metadata(plan%file, version, before, status, fingerprint, error)
+    call check_footer(plan%file, error)
+    if (.not. allocated(error)) call compare_with_file(plan, version, status, same, error)
     if (.not. allocated(error)) then
-      ! Without an initial file the text is empty.
-      read (fingerprint, '(z16)', iostat=unread) initial_fingerprint
-      if (unread /= 0) initial_fingerprint = 0
-      call compare_inputs(plan, before, initial_fingerprint, same, error)
       complete = same .and. status == 'complete'
-      if (.not. (complete .or. allocated(error)) .and. version /= program_version) &
+      if (.not. complete .and. version /= program_version) &
         call fatal_error(error, plan%file//' was made by version '//version//', and this is ' &
         //program_version//'; name another output file, or discard it with --overwrite', &
         exit_bad_input)
@@ -241,10 +232,64 @@ contains
       error%message = error%message//'; there is no journal to write it anew from: ' &
         //'remove the file, or compute it again with --overwrite'
       call move_alloc(error, damage)
-    else
-      error%message = error%message//leave_it
     end if
   end subroutine inspect_results_file
+
+  !> Compares a plan with the input of its results file, as `compare_inputs` does.
+  subroutine compare_with_file(plan, version, status, same, error)
+    type(plan_type), intent(in) :: plan
+    !> Of the file: version of the program; `complete` or `partial`.
+    character(len=:), allocatable, intent(out) :: version, status
+    logical, intent(out) :: same
+    type(error_type), allocatable, intent(out) :: error
+    character(len=:), allocatable :: before, fingerprint
+    integer(int64) :: initial_fingerprint
+    integer :: unread
+
+    same = .false.
+    call read_metadata(plan%file, version, before, status, fingerprint, error)
+    if (allocated(error)) return
+    ! Without an initial file the text is empty.
+    read (fingerprint, '(z16)', iostat=unread) initial_fingerprint
+    if (unread /= 0) initial_fingerprint = 0
+    call compare_inputs(plan, before, initial_fingerprint, same, error)
+  end subroutine compare_with_file
+
+  !> Gives the results file of a plan a new footer, if it was cut off, and the contents are results
+  !> of this input, or of one that this input extends.
+  subroutine accept_output(plan, message, error)
+    type(plan_type), intent(in) :: plan
+    !> Message for the user.
+    character(len=:), allocatable, intent(out) :: message
+    !> The file is not accepted, and unchanged; code `exit_bad_input` if it is of another input.
+    type(error_type), allocatable, intent(out) :: error
+    character(len=:), allocatable :: version, status
+    type(results_type) :: results
+    type(lock_type) :: lock
+    logical :: lacks_footer, same
+
+    message = ''
+    if (.not. file_exists(plan%file)) then
+      call fatal_error(error, plan%file//': there is no results file to accept', exit_bad_input)
+      return
+    end if
+    call acquire_lock(lock, plan%file, error)
+    if (allocated(error)) return
+    call check_footer(plan%file, error, lacks_footer)
+    if (lacks_footer) then
+      call compare_with_file(plan, version, status, same, error)
+      if (.not. allocated(error) .and. version /= program_version) call fatal_error(error, &
+        plan%file//' was made by version '//version//'; this one, '//program_version &
+        //', cannot check it', exit_bad_input)
+      if (.not. allocated(error)) call accept_results(plan%file, lock%before, results, error)
+      if (.not. allocated(error)) message = plan%file//': accepted as it is, with a new digest: ' &
+        //'its structure and its seeds are those of its namelist; ' &
+        //count_text(count(results%task_status == task_complete), 'complete task')
+    else if (.not. allocated(error)) then
+      message = plan%file//': has its digest; there is nothing to accept'
+    end if
+    call release_lock(lock)
+  end subroutine accept_output
 
   !> Inspects the journal, which must be of this input, or of one that this input extends; if its
   !> plan is damaged, its records must not belong to another input.

@@ -11,6 +11,7 @@
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
+#include <sys/file.h>
 #include <sys/stat.h>
 #include <unistd.h>
 
@@ -83,12 +84,24 @@ int battery_make_folder(const char *path) {
   return mkdir(path, S_IRWXU | S_IRWXG | S_IRWXO) == 0 ? 0 : errno;
 }
 
-/* Syncs a file, or the entries of a folder, to disk. */
+/* Syncs a file, or the entries of a folder, to disk. Folders of some file systems cannot be synced
+   (shared folders of virtual machines, old SMB): for a folder, only an error of the disk is one. */
 int battery_sync(const char *path) {
   int descriptor = open(path, O_RDONLY | O_CLOEXEC);
-  if (descriptor < 0) return errno;
-  int status = fsync(descriptor) == 0 ? 0 : errno;
-  return close(descriptor) == 0 || status != 0 ? status : errno;
+  int status = descriptor >= 0 && fsync(descriptor) == 0 ? 0 : errno;
+  if (descriptor >= 0 && close(descriptor) != 0 && status == 0) status = errno;
+  errno = status;
+  return status != 0 && !battery_is_disk_error() && battery_kind_of(path) == 2 ? 0 : status;
+}
+
+/* Whether another program holds a lock on a file that excludes readers, as HDF5 does while a file is
+   open for writing. */
+int battery_is_locked(const char *path) {
+  int descriptor = open(path, O_RDONLY | O_NONBLOCK | O_CLOEXEC);
+  if (descriptor < 0) return 0;
+  int locked = flock(descriptor, LOCK_SH | LOCK_NB) != 0 && errno == EWOULDBLOCK;
+  close(descriptor);
+  return locked;
 }
 
 /* Makes a new empty file: a file or a link that had the name is removed. */

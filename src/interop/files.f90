@@ -9,7 +9,7 @@ module battery_files
   use battery_text, only: string_type
   implicit none (type, external)
   private
-  public :: file_exists, is_readable, is_writable, is_disk_error, files_matching
+  public :: file_exists, is_readable, is_writable, is_locked, is_disk_error, files_matching
   public :: sync_file, rename_file, remove_file, make_folder, publish_file, create_new_file
   public :: file_stamp_type, file_stamp_at, has_stamp, publish_unless_replaced
 
@@ -22,6 +22,7 @@ module battery_files
   procedure(number_of_path), bind(c, name='battery_exists') :: c_exists
   procedure(number_of_path), bind(c, name='battery_may_read') :: c_may_read
   procedure(number_of_path), bind(c, name='battery_may_write') :: c_may_write
+  procedure(number_of_path), bind(c, name='battery_is_locked') :: c_is_locked
   procedure(number_of_path), bind(c, name='battery_remove') :: c_remove
   procedure(number_of_path), bind(c, name='battery_make_folder') :: c_make_folder
   procedure(number_of_path), bind(c, name='battery_sync') :: c_sync
@@ -80,7 +81,16 @@ contains
     yes = c_may_write(path//c_null_char) /= 0
   end function is_writable
 
-  !> Syncs a file, or the entries of a folder, to disk.
+  !> Whether another program has locked the file against readers, as HDF5 does while it is open for
+  !> writing.
+  logical function is_locked(path) result(yes)
+    !> Links are followed.
+    character(len=*), intent(in) :: path
+
+    yes = c_is_locked(path//c_null_char) /= 0
+  end function is_locked
+
+  !> Syncs a file, or the entries of a folder, to disk. A folder that cannot be synced is no error.
   subroutine sync_file(path, error)
     !> Path of a file or a folder.
     character(len=*), intent(in) :: path

@@ -11,11 +11,12 @@ module battery_command_line
 
   !> First line of the help.
   character(len=*), parameter :: usage_line = &
-    'usage: battery [--check] [--overwrite] [--quiet] [--json FILE] FILE.nml, battery --help, '// &
-    'battery --schema, battery --self-test, battery --version'
+    'usage: battery [--check] [--overwrite] [--quiet] [--json FILE] FILE.nml, '// &
+    'battery --accept FILE.nml, battery --help, battery --schema, battery --self-test, '// &
+    'battery --version'
 
-  character(len=11), parameter :: options(8) = [character(len=11) :: '--check', '--overwrite', &
-    '--quiet', '--json', '--help', '--schema', '--self-test', '--version']
+  character(len=11), parameter :: options(9) = [character(len=11) :: '--check', '--overwrite', &
+    '--quiet', '--json', '--accept', '--help', '--schema', '--self-test', '--version']
 
   !> Ways to stop a run without loss: Open MPI kills ranks that take longer than a second (version
   !> 5: a quarter of a second) to save their states.
@@ -41,6 +42,8 @@ module battery_command_line
     logical :: check = .false.
     !> Discard existing results.
     logical :: overwrite = .false.
+    !> Accept results that another program has changed, instead of a run.
+    logical :: accept = .false.
     !> Print errors only.
     logical :: quiet = .false.
   end type command_line_type
@@ -105,6 +108,8 @@ contains
       call add(problems, command%file//': --schema takes no file; it is the same for all')
     if (command%self_test .and. command%file /= '') &
       call add(problems, command%file//': --self-test takes no file')
+    if (command%accept .and. (command%check .or. command%overwrite .or. command%json /= '')) &
+      call add(problems, '--accept: cannot be given with --check, --overwrite or --json')
     if (problems /= '') call fatal_error(error, problems//new_line_character//usage_line, &
       exit_bad_input)
   end subroutine parse_arguments
@@ -121,6 +126,8 @@ contains
       command%check = .true.
     case ('--overwrite')
       command%overwrite = .true.
+    case ('--accept')
+      command%accept = .true.
     case ('--quiet')
       command%quiet = .true.
     case ('--help', '-h')
@@ -160,6 +167,8 @@ contains
       //'  --overwrite  discard existing results'//nl &
       //'  --quiet      print problems only'//nl &
       //'  --json FILE  write the path of the results (--check: time and memory) as JSON'//nl &
+      //'  --accept     take results as they are that another program opened for writing:'//nl &
+      //'               check structure and seeds, write a new digest; run nothing'//nl &
       //'  --help       print this'//nl &
       //'  --schema     print a JSON Schema of FILE.nml as f90nml turns it into JSON'//nl &
       //'  --self-test  test the installed program, on all ranks, in seconds'//nl &

@@ -12,11 +12,11 @@ module battery_checksum_footer
   use battery_kinds, only: int8, int64
   use battery_error, only: error_type, fatal_error, exit_bad_input, exit_failure
   use battery_digest, only: digest_type, begin_digest, add_to_digest, end_digest, digest_length
-  use battery_files, only: is_readable
+  use battery_files, only: is_readable, is_locked, create_new_file
   use battery_paths, only: is_folder
   implicit none (type, external)
   private
-  public :: footer_length, footer_of, check_footer
+  public :: footer_length, footer_of, check_footer, copy_with_footer
 
   !> Length of the footer in bytes.
   integer, parameter :: footer_length = 512
@@ -29,6 +29,9 @@ module battery_checksum_footer
 
   !> An attribute that only files of this program have, near their beginning.
   character(len=*), parameter :: mark = 'initial_file_fingerprint'
+
+  !> Advice about something else that has the name of the results file.
+  character(len=*), parameter :: leave_it = '; name another output file, or move it away'
 
   !> Bytes that are read at a time.
   integer, parameter :: piece = 1024**2
@@ -67,24 +70,30 @@ contains
   end function footer_text
 
   !> Reads a whole file and checks its footer. The error has the code `exit_failure` if the file is
-  !> a damaged results file, `exit_bad_input` if it is another file: one of a version before 0.2.0,
-  !> or one that HDF5 has rewritten, which has no bytes after the end of the HDF5 data. A file that
-  !> is empty, or whose first bytes are zero, may result from a crash of the machine, and counts as
-  !> damaged.
-  subroutine check_footer(name, error)
+  !> a damaged results file, `exit_bad_input` if it is another file, or one without a footer: HDF5
+  !> cuts off what is behind its data when a program opens the file for writing, and versions before
+  !> 0.2.0 wrote none. A file that is empty, or whose first bytes are zero, may result from a crash
+  !> of the machine, and counts as damaged.
+  subroutine check_footer(name, error, lacks_footer)
     !> Path of the file.
     character(len=*), intent(in) :: name
-    !> The file cannot be read, is damaged, or has no footer.
+    !> The file cannot be read, is open in another program, is damaged, or has no footer.
     type(error_type), allocatable, intent(out) :: error
+    !> Whether the error is that a file of this program, as long as HDF5 says, has no footer.
+    logical, intent(out), optional :: lacks_footer
     character(len=footer_length) :: footer
     character(len=:), allocatable :: first, digits
     integer(int64) :: bytes, content
     integer :: unit, status
 
+    if (present(lacks_footer)) lacks_footer = .false.
     if (is_folder(name)) then
-      call fatal_error(error, name//' is a folder', exit_bad_input)
+      call fatal_error(error, name//' is a folder'//leave_it, exit_bad_input)
     else if (.not. is_readable(name)) then
-      call fatal_error(error, name//' may not be read', exit_bad_input)
+      call fatal_error(error, name//' may not be read'//leave_it, exit_bad_input)
+    else if (is_locked(name)) then
+      call fatal_error(error, name//' is open in another program, which may change it; ' &
+        //'close it there', exit_bad_input)
     end if
     if (allocated(error)) return
     content = 0
@@ -105,32 +114,67 @@ contains
     else if (index(footer, first_line//new_line('a')) == 1 .or. index(footer, explanation) > 0) then
       call fatal_error(error, name//' is damaged: its digest is wrong', exit_failure)
     else if (index(first, mark) > 0 .and. end_in_hdf5(first) == bytes) then
-      call fatal_error(error, name//' is of a version before 0.2.0, or was changed: it has no ' &
-        //'digest at its end', exit_bad_input)
+      if (present(lacks_footer)) lacks_footer = .true.
+      call fatal_error(error, name//' was changed by another program, or is of a version before ' &
+        //'0.2.0: it has no digest at its end, which HDF5 cuts off when it opens a file for ' &
+        //'writing; if the contents are still as they were, battery --accept FILE.nml takes them ' &
+        //'as they are', exit_bad_input)
     else if (index(first, mark) > 0 .or. verify(first, achar(0)) == 0) then
       call fatal_error(error, name//' is damaged: it has no digest at its end', exit_failure)
     else
-      call fatal_error(error, name//' is not a results file of this program', exit_bad_input)
+      call fatal_error(error, name//' is not a results file of this program'//leave_it, &
+        exit_bad_input)
     end if
   end subroutine check_footer
 
-  !> Length of a file according to HDF5's superblock, of version 0 as in all files of this program.
+  !> Length of a file according to HDF5's superblock.
   pure integer(int64) function end_in_hdf5(first) result(bytes)
     !> First bytes of the file.
     character(len=*), intent(in) :: first
-    !> Offset of the length in the superblock, which is little-endian.
-    integer, parameter :: place = 40
-    integer :: k
+    !> Offset of the length, which is little-endian, in superblocks of versions 0 (that of files of
+    !> this program), 1, 2 and 3 (of programs that write HDF5 anew).
+    integer, parameter :: places(0:3) = [40, 44, 28, 28]
+    integer :: k, place
 
     bytes = 0
-    if (len(first) < place + 8) return
+    if (len(first) < maxval(places) + 8) return
+    if (ichar(first(9:9)) > ubound(places, 1)) return
+    place = places(ichar(first(9:9)))
     do k = 8, 1, -1
       bytes = ior(shiftl(bytes, 8), int(ichar(first(place + k:place + k)), int64))
     end do
   end function end_in_hdf5
 
+  !> Copies a file without a footer, and adds one.
+  subroutine copy_with_footer(name, copy, error)
+    !> Paths of the file and of its copy, which is made anew.
+    character(len=*), intent(in) :: name, copy
+    type(error_type), allocatable, intent(out) :: error
+    character(len=:), allocatable :: first, digits
+    integer(int64) :: bytes
+    integer :: unit, copy_unit, status, closed
+
+    call create_new_file(copy, error)
+    if (allocated(error)) return
+    open (newunit=unit, file=name, access='stream', form='unformatted', action='read', &
+      status='old', iostat=status)
+    if (status == 0) then
+      open (newunit=copy_unit, file=copy, access='stream', form='unformatted', action='write', &
+        status='old', iostat=status)
+      if (status == 0) then
+        inquire (unit, size=bytes)
+        call read_content(unit, bytes, first, digits, status, copy_unit)
+        if (status == 0) write (copy_unit, iostat=status) footer_text(bytes, digits)
+        close (copy_unit, iostat=closed)
+        if (status == 0) status = closed
+      end if
+      close (unit)
+    end if
+    if (status /= 0) call fatal_error(error, copy//': cannot be written as a copy of '//name)
+  end subroutine copy_with_footer
+
   !> Reads the bytes before the footer.
-  subroutine read_content(unit, count, first, digits, status)
+  subroutine read_content(unit, count, first, digits, status, copy_unit)
     !> Unit on which the file is open, at its beginning.
     integer, intent(in) :: unit
     !> Number of bytes before the footer.
@@ -141,6 +185,8 @@ contains
     character(len=:), allocatable, intent(out) :: digits
     !> Status of reading; not 0: the bytes cannot be read.
     integer, intent(out) :: status
+    !> Unit of a file to which they are written.
+    integer, intent(in), optional :: copy_unit
     integer(int8), allocatable :: bytes(:)
     type(digest_type) :: digest
     integer(int64) :: left
@@ -153,6 +199,7 @@ contains
     do while (left > 0 .and. status == 0)
       if (left < size(bytes)) bytes = bytes(:int(left))
       read (unit, iostat=status) bytes
+      if (present(copy_unit) .and. status == 0) write (copy_unit, iostat=status) bytes
       if (left == count) first = transfer(bytes, first)
       call add_to_digest(digest, bytes)
       left = left - size(bytes)

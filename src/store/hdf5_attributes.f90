@@ -6,7 +6,7 @@ module battery_hdf5_attributes
   use, intrinsic :: iso_c_binding, only: c_ptr, c_loc, c_null_ptr, c_null_char, c_char, c_int
   use hdf5, only: hid_t, hsize_t, h5acreate_by_name_f, h5aopen_by_name_f, h5awrite_f, h5aread_f, &
     h5aget_type_f, h5aget_space_f, h5screate_simple_f, h5tcopy_f, h5tset_cset_f, &
-    h5tis_variable_str_f, h5tcommitted_f, h5sget_simple_extent_npoints_f, h5dvlen_reclaim_f, &
+    h5tis_variable_str_f, h5sget_simple_extent_npoints_f, h5dvlen_reclaim_f, &
     h5kind_to_type
   use hdf5, only: h5t_string, h5t_cset_utf8_f, h5p_default_f, h5_real_kind, h5_integer_kind
   use battery_error, only: error_type
@@ -115,7 +115,7 @@ contains
     integer(hid_t) :: attribute, text_type, space
     integer(hsize_t) :: texts
     integer :: status, freed
-    logical :: is_text, is_named_type
+    logical :: is_text
 
     text = ''
     call check_links(file, path, error)
@@ -129,9 +129,8 @@ contains
     if (status == 0) call h5aget_space_f(attribute, space, status)
     if (status == 0) call h5aget_type_f(attribute, text_type, status)
     if (status == 0) call h5tis_variable_str_f(text_type, is_text, status)
-    if (status == 0) call h5tcommitted_f(text_type, is_named_type, status)
     if (status == 0) call h5sget_simple_extent_npoints_f(space, texts, status)
-    if (status == 0 .and. (.not. is_text .or. is_named_type .or. texts /= 1)) status = -1
+    if (status == 0 .and. (.not. is_text .or. texts /= 1)) status = -1
     if (status == 0) call h5aread_f(attribute, text_type, buffer, status)
     if (status == 0) then
       text = c_text_at(address)

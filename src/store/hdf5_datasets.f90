@@ -4,21 +4,17 @@
 !> All types and ranks are passed to one procedure, as an address and extents. Extents are in
 !> Fortran order; readers in C or Python see them reversed.
 !>
-!> A file that is read is not trusted: a dataset must be stored in this file, in a layout that
-!> `write_dataset` uses, and have the expected type and extents.
+!> A dataset that is read must be stored in this file, and have the expected extents.
 module battery_hdf5_datasets
   use, intrinsic :: iso_c_binding, only: c_associated, c_char, c_int, c_int64_t, c_null_char
   use hdf5, only: hid_t, hsize_t, size_t, h5dcreate_f, h5dopen_f, h5dread_f, h5dwrite_f, &
     h5dget_space_f, h5sget_simple_extent_dims_f, h5sget_simple_extent_ndims_f, h5pcreate_f, &
     h5pset_chunk_f, h5pset_shuffle_f, h5pset_deflate_f, h5pset_fill_value_f, h5screate_simple_f, &
     h5sselect_hyperslab_f, h5tget_size_f, h5zfilter_avail_f, h5kind_to_type
-  use hdf5, only: h5dget_create_plist_f, h5dget_type_f, h5pget_layout_f, h5pget_external_count_f, &
-    h5pget_nfilters_f, h5pget_filter_f, h5pget_chunk_f, h5tcommitted_f, h5tget_class_f, &
-    h5dget_storage_size_f
-  use hdf5, only: h5p_dataset_create_f, h5s_select_set_f, h5z_filter_deflate_f, &
-    h5z_filter_shuffle_f, h5d_compact_f, h5d_contiguous_f, h5d_chunked_f, h5_integer_kind
-  use battery_kinds, only: dp, int32, int64
-  use battery_deflate, only: inflates_to
+  use hdf5, only: h5dget_create_plist_f, h5pget_layout_f, h5pget_external_count_f, &
+    h5p_dataset_create_f, h5s_select_set_f, h5z_filter_deflate_f, h5d_compact_f, h5d_contiguous_f, &
+    h5d_chunked_f, h5_integer_kind
+  use battery_kinds, only: int32, int64
   use battery_error, only: error_type
   use battery_hdf5_file, only: hdf5_file_type, release_handle, check_status, check_links, no_handle
   use battery_hdf5_attributes, only: array_view_type, array_view_of, write_text_attribute
@@ -59,19 +55,6 @@ module battery_hdf5_datasets
       integer(c_int64_t), value, intent(in) :: dataset, scale
       integer(c_int), value, intent(in) :: dimension
     end function c_attach_scale
-
-    !> Address in the file of the chunk with the values at `offset`, below 0 if it is not stored;
-    !> its stored length; bit mask of the filters that were skipped for it, the first filter first.
-    integer(c_int) function c_piece_at(dataset, offset, left_out, address, stored) &
-        bind(c, name='H5Dget_chunk_info_by_coord')
-      import :: c_int, c_int64_t
-      implicit none (type, external)
-      integer(c_int64_t), value, intent(in) :: dataset
-      !> The slowest dimension first.
-      integer(c_int64_t), intent(in) :: offset(*)
-      integer(c_int), intent(out) :: left_out
-      integer(c_int64_t), intent(out) :: address, stored
-    end function c_piece_at
   end interface
 
 contains
@@ -101,8 +84,7 @@ contains
       call write_array_view(file, path, memory, units, long_name, error, scales)
     else
       call open_dataset(file, path, dataset, error)
-      call check_type_and_extents(file, path, dataset, memory%value_type, memory%extents, error)
-      call check_lengths(file, path, dataset, memory%extents, error)
+      call check_extents(file, path, dataset, memory%extents, error)
       status = 0
       if (.not. allocated(error) .and. product(memory%extents) > 0) then
         call h5dread_f(dataset, memory%value_type, memory%address, status)
@@ -142,8 +124,7 @@ contains
       call write_array_view(file, path, memory, units, long_name, error, scales, prepared=dataset)
     else
       call open_dataset(file, path, dataset%id, error)
-      call check_type_and_extents(file, path, dataset%id, memory%value_type, memory%extents, error)
-      call check_lengths(file, path, dataset%id, memory%extents, error)
+      call check_extents(file, path, dataset%id, memory%extents, error)
     end if
   end subroutine prepare_dataset
 
@@ -203,8 +184,7 @@ contains
       call check_status(file, dataset%path, 'cannot be closed', status, error)
   end subroutine release_dataset
 
-  !> Opens a dataset, if it is stored in the file itself, contiguous or in chunks none of which is
-  !> large, with no filters except those of `new_layout`. This is checked before anything else: a
+  !> Opens a dataset, if it is stored in the file itself. This is checked before anything else: a
   !> query of the extents of a virtual dataset would open other files. Does nothing after an error.
   subroutine open_dataset(file, path, dataset, error)
     !> File, open for reading.
@@ -228,160 +208,26 @@ contains
     call check_status(file, path, 'is no dataset', status, error)
     if (status == 0 .and. (others > 0 .or. all(way /= [h5d_compact_f, h5d_contiguous_f, &
       h5d_chunked_f]))) call check_status(file, path, 'does not lie in the file itself', 1, error)
-    if (.not. allocated(error) .and. way == h5d_chunked_f) &
-      call check_chunks(file, path, dataset, layout, error)
     call release_handle(layout, status)
   end subroutine open_dataset
 
-  !> Checks that chunks are at most as large as those of `new_layout`, and that there are no other
-  !> filters than there, with deflate as the last one.
-  subroutine check_chunks(file, path, dataset, layout, error)
+  !> Checks the extents of a dataset, which is read into memory of these. Does nothing after an
+  !> error.
+  subroutine check_extents(file, path, dataset, wanted, error)
     type(hdf5_file_type), intent(in) :: file
     character(len=*), intent(in) :: path
-    integer(hid_t), intent(in) :: dataset, layout
-    type(error_type), allocatable, intent(out) :: error
-    integer, parameter :: most_dimensions = 32
-    integer(hsize_t) :: piece(most_dimensions)
-    integer(hid_t) :: value_type, space
-    integer(size_t) :: bytes, values
-    integer :: status, rank, filters, k, filter, flags, setting(8)
-    character(len=80) :: name
-    integer(hsize_t) :: stored
-    integer(hsize_t), allocatable :: extents(:)
-    real(dp) :: taken, pieces
-
-    call h5pget_nfilters_f(layout, filters, status)
-    do k = 0, filters - 1
-      values = size(setting)
-      call h5pget_filter_f(layout, k, flags, values, setting, len(name, size_t), name, filter, &
-        status)
-      if (status == 0 .and. filter /= h5z_filter_shuffle_f .and. &
-        (filter /= h5z_filter_deflate_f .or. k < filters - 1)) status = -1
-      if (status /= 0) exit
-    end do
-    call check_status(file, path, 'was made with a filter that this program does not use', status, &
-      error)
-    if (allocated(error)) return
-    value_type = no_handle
-    space = no_handle
-    rank = 0
-    call h5dget_space_f(dataset, space, status)
-    if (status == 0) call h5sget_simple_extent_ndims_f(space, rank, status)
-    if (status == 0) call h5pget_chunk_f(layout, rank, piece, status)
-    ! If the call succeeds, its status is the number of dimensions.
-    status = merge(0, -1, status == rank)
-    if (status == 0) call h5dget_type_f(dataset, value_type, status)
-    if (status == 0) call h5tget_size_f(value_type, bytes, status)
-    if (status == 0) then
-      extents = extents_of_dataset(dataset, rank)
-      taken = product(real(piece(:rank), dp))*real(bytes, dp)
-      if (taken > real(large, dp)) status = -1
-    end if
-    call release_handle(value_type, status)
-    call release_handle(space, status)
-    call check_status(file, path, 'has pieces larger than any that this program writes', status, &
-      error)
-    if (allocated(error)) return
-    ! Compression adds almost nothing to the length of a chunk: more stored bytes than that might
-    ! inflate to any length.
-    call h5dget_storage_size_f(dataset, stored, status)
-    if (status == 0) then
-      pieces = product(real(extents/piece(:rank) + 1, dp))
-      if (real(stored, dp) > (1.01_dp*taken + 64.0_dp)*pieces) status = -1
-    end if
-    call check_status(file, path, 'takes more of the file than its values do', status, error)
-  end subroutine check_chunks
-
-  !> Checks that a dataset has numbers of `wanted_type` and the extents `wanted`, and that its type
-  !> is not a named (committed) one. Does nothing after an error.
-  subroutine check_type_and_extents(file, path, dataset, wanted_type, wanted, error)
-    type(hdf5_file_type), intent(in) :: file
-    character(len=*), intent(in) :: path
-    !> Dataset, open; type of its values in memory; its extents in Fortran order.
-    integer(hid_t), intent(in) :: dataset, wanted_type
+    !> Dataset, open; extents in Fortran order.
+    integer(hid_t), intent(in) :: dataset
     integer(hsize_t), intent(in) :: wanted(:)
     type(error_type), allocatable, intent(inout) :: error
     integer(hsize_t) :: extents(size(wanted))
-    integer(hid_t) :: value_type
-    integer(size_t) :: bytes, wanted_bytes
-    integer :: status, class, wanted_class
-    logical :: is_named_type
 
-    if (allocated(error)) return
-    value_type = no_handle
-    call h5dget_type_f(dataset, value_type, status)
-    if (status == 0) call h5tcommitted_f(value_type, is_named_type, status)
-    if (status == 0) call h5tget_class_f(value_type, class, status)
-    if (status == 0) call h5tget_size_f(value_type, bytes, status)
-    if (status == 0) call h5tget_class_f(wanted_type, wanted_class, status)
-    if (status == 0) call h5tget_size_f(wanted_type, wanted_bytes, status)
-    if (status == 0 .and. (is_named_type .or. class /= wanted_class .or. bytes /= wanted_bytes)) &
-      status = -1
-    call release_handle(value_type, status)
-    call check_status(file, path, 'has values of another type than this program writes', status, &
-      error)
     if (allocated(error)) return
     extents = extents_of_dataset(dataset, size(wanted))
     if (any(extents /= wanted)) call check_status(file, path, 'has the dimensions ' &
       //extents_text(extents)//'; by the namelist in the file they are '//extents_text(wanted), &
       1, error)
-  end subroutine check_type_and_extents
-
-  !> Checks that each chunk of a dataset inflates to the length of its values: HDF5 would read
-  !> beyond the end of a shorter one. Does nothing after an error.
-  subroutine check_lengths(file, path, dataset, extents, error)
-    !> File, open for reading.
-    type(hdf5_file_type), intent(in) :: file
-    !> Path of the dataset in the file, from the root.
-    character(len=*), intent(in) :: path
-    !> Dataset, open; `check_type_and_extents` has checked it.
-    integer(hid_t), intent(in) :: dataset
-    integer(hsize_t), intent(in) :: extents(:)
-    type(error_type), allocatable, intent(inout) :: error
-    integer(hsize_t), dimension(size(extents)) :: piece, offset
-    integer(hid_t) :: layout, value_type
-    integer(size_t) :: bytes
-    integer(int64) :: length, address, stored
-    integer(c_int) :: left_out
-    integer :: status, way, filters, k
-
-    if (allocated(error)) return
-    layout = no_handle
-    value_type = no_handle
-    call h5dget_create_plist_f(dataset, layout, status)
-    if (status == 0) call h5pget_layout_f(layout, way, status)
-    if (status == 0 .and. way == h5d_chunked_f .and. all(extents > 0)) then
-      call h5pget_chunk_f(layout, size(extents), piece, status)
-      status = merge(0, -1, status == size(extents))
-      if (status == 0) call h5pget_nfilters_f(layout, filters, status)
-      if (status == 0) call h5dget_type_f(dataset, value_type, status)
-      if (status == 0) call h5tget_size_f(value_type, bytes, status)
-      length = product(piece)*int(bytes, int64)
-      offset = 0
-      do while (status == 0)
-        status = c_piece_at(dataset, offset(size(offset):1:-1), left_out, address, stored)
-        if (status < 0) exit
-        status = 0
-        if (address >= 0) then
-          ! The last filter is deflate, if there is any (`check_chunks`).
-          if (filters == 0 .or. btest(left_out, filters - 1)) then
-            if (stored /= length) status = -1
-          else if (inflates_to(file%name//c_null_char, address, stored, length) == 0) then
-            status = -1
-          end if
-        end if
-        do k = 1, size(offset)
-          offset(k) = offset(k) + piece(k)
-          if (offset(k) < extents(k)) exit
-          offset(k) = 0
-        end do
-        if (k > size(offset)) exit
-      end do
-    end if
-    call release_handle(value_type, status)
-    call release_handle(layout, status)
-    call check_status(file, path, 'has pieces of another length than its values', status, error)
-  end subroutine check_lengths
+  end subroutine check_extents
 
   !> Text for extents, in the order of C and Python.
   pure function extents_text(extents) result(text)

@@ -4,12 +4,11 @@
 !> already. An error names the file and the path.
 !>
 !> A new file is made in memory and written to disk when it is closed: after a failed write HDF5
-!> crashes when it closes the file, and it locks files, which some network disks refuse. Its bytes
-!> are written from the memory of HDF5 without a copy, followed by the checksum footer.
+!> crashes when it closes the file. Its bytes are written from the memory of HDF5 without a copy,
+!> followed by the checksum footer.
 !>
-!> A file that is read is not trusted, since anyone can make a valid footer: no object is opened
-!> before `check_links` found that it is stored in this file, and no filter is loaded from
-!> elsewhere.
+!> Of a file that is read no object is opened before `check_links` found that it is stored in this
+!> file, and no filter is loaded from elsewhere.
 module battery_hdf5_file
   use, intrinsic :: iso_c_binding, only: c_associated, c_char, c_f_pointer, c_int, c_int64_t, &
     c_null_char, c_null_ptr, c_ptr, c_size_t
@@ -66,6 +65,14 @@ module battery_hdf5_file
       integer(c_size_t), value, intent(in) :: length
     end function link_value
 
+    !> Sets a variable of the environment.
+    integer(c_int) function set_variable(name, value, replace) bind(c, name='setenv')
+      import :: c_char, c_int
+      implicit none (type, external)
+      character(kind=c_char), intent(in) :: name(*), value(*)
+      integer(c_int), value, intent(in) :: replace
+    end function set_variable
+
     !> Handle of the driver of a file; for a file in memory, it is where the address of its bytes is
     !> stored. Not all versions of HDF5 have a Fortran interface for it.
     integer(c_int) function get_handle(file, access, handle) bind(c, name='H5Fget_vfd_handle')
@@ -83,6 +90,7 @@ contains
     character(len=:), allocatable :: version
     integer :: major, minor, release_number, status
 
+    call start_hdf5(status)
     call h5get_libversion_f(major, minor, release_number, status)
     version = to_text(major)//'.'//to_text(minor)//'.'//to_text(release_number)
   end function hdf5_library
@@ -134,20 +142,28 @@ contains
       call fatal_error(error, name//': cannot be opened as an HDF5 file', exit_bad_input)
   end subroutine open_file
 
-  !> Makes the access properties of files: closing a file closes all objects in it. Starts HDF5 if
-  !> needed, and switches off its own messages and the plugins for filters that a file names.
+  !> Starts HDF5 if needed, without its own messages, the plugins for filters that a file names, and
+  !> its file locks: some network disks have none, and the program has a lock of its own. HDF5 reads
+  !> the variable when it starts; versions before 1.10.7 have no other way.
+  subroutine start_hdf5(status)
+    integer, intent(out) :: status
+
+    status = 0
+    if (is_started) return
+    status = set_variable('HDF5_USE_FILE_LOCKING'//c_null_char, 'FALSE'//c_null_char, 1_c_int)
+    if (status == 0) call h5open_f(status)
+    if (status == 0) call h5eset_auto_f(0, status)
+    if (status == 0) status = set_plugins(0_c_int)
+    is_started = status == 0
+  end subroutine start_hdf5
+
+  !> Makes the access properties of files: closing a file closes all objects in it.
   subroutine new_access(access, status)
     integer(hid_t), intent(out) :: access
     integer, intent(out) :: status
 
     access = no_handle
-    status = 0
-    if (.not. is_started) then
-      call h5open_f(status)
-      if (status == 0) call h5eset_auto_f(0, status)
-      if (status == 0) status = set_plugins(0_c_int)
-      is_started = status == 0
-    end if
+    call start_hdf5(status)
     if (status == 0) call h5pcreate_f(h5p_file_access_f, access, status)
     if (status == 0) call h5pset_fclose_degree_f(access, h5f_close_strong_f, status)
   end subroutine new_access

@@ -2,10 +2,9 @@
 module battery_metadata
   use battery_kinds, only: dp, int32
   use battery_clocks, only: utc_now
-  use battery_error, only: error_type, fatal_error, exit_bad_input
+  use battery_error, only: error_type
   use battery_hdf5_file, only: hdf5_file_type, open_file, close_file, make_group
   use battery_hdf5_attributes, only: write_attribute, write_text_attribute, read_text_attribute
-  use battery_checksum_footer, only: check_footer
   implicit none (type, external)
   private
   public :: metadata_type, add_text_metadata, write_metadata, read_metadata
@@ -73,7 +72,7 @@ contains
   end subroutine write_metadata
 
   !> Reads the version and the input that a results file was made with, and whether it is complete.
-  !> The checksum is verified first (`check_footer`), and a file without a valid one gives an error.
+  !> The caller has checked its footer (`check_footer`).
   subroutine read_metadata(name, version, input_text, status, initial_file_fingerprint, error)
     !> Path of the file.
     character(len=*), intent(in) :: name
@@ -82,14 +81,10 @@ contains
     !> Fingerprint in hexadecimal digits; empty if there was no initial file.
     character(len=:), allocatable, intent(out) :: initial_file_fingerprint
     type(error_type), allocatable, intent(out) :: error
-    !> Letters of a version, and the greatest number of them.
-    character(len=*), parameter :: in_versions = '0123456789.-abcdefghijklmnopqrstuvwxyz'
-    integer, parameter :: longest = 32
     type(error_type), allocatable :: close_error
     type(hdf5_file_type) :: file
 
-    call check_footer(name, error)
-    if (.not. allocated(error)) call open_file(file, name, error)
+    call open_file(file, name, error)
     if (allocated(error)) return
     call read_text_attribute(file, '/', 'version', version, error)
     call read_text_attribute(file, '/', 'namelist', input_text, error)
@@ -97,12 +92,6 @@ contains
     call read_text_attribute(file, '/', 'initial_file_fingerprint', initial_file_fingerprint, error)
     call close_file(file, close_error)
     if (.not. allocated(error)) call move_alloc(close_error, error)
-    if (allocated(error)) return
-    if (status /= 'complete' .and. status /= 'partial') then
-      call fatal_error(error, name//': its status is neither complete nor partial', exit_bad_input)
-    else if (version == '' .or. verify(version, in_versions) > 0 .or. len(version) > longest) then
-      call fatal_error(error, name//': its version is not one of this program', exit_bad_input)
-    end if
   end subroutine read_metadata
 
 end module battery_metadata

@@ -13,8 +13,9 @@ module battery_results_file
   use battery_files, only: file_stamp_type, sync_file, publish_unless_replaced, remove_file
   use battery_key, only: key_type, find_key
   use battery_keys, only: all_keys
-  use battery_task_output, only: output_datasets_type, output_extents_type, &
-    prepare_output_datasets, close_output_datasets, write_counting_scale, task_dimensions
+  use battery_task_output, only: task_output_type, output_datasets_type, output_extents_type, &
+    prepare_output_datasets, close_output_datasets, read_task_output, write_counting_scale, &
+    task_dimensions
   use battery_hdf5_file, only: hdf5_file_type, create_file, open_file, close_file, discard_file, &
     make_group, check_status, no_handle
   use battery_hdf5_attributes, only: read_text_attribute, write_attribute, write_text_attribute
@@ -30,12 +31,12 @@ module battery_results_file
   use battery_namelist_input, only: parse_namelist
   use battery_plan, only: plan_type, point_type, point_of, setup_of
   use battery_simulation, only: setup_type
-  use battery_checksum_footer, only: check_footer
+  use battery_checksum_footer, only: check_footer, copy_with_footer
   use battery_table, only: channel1, channel2
-  use battery_text, only: lines_of, to_text
+  use battery_text, only: lines_of
   implicit none (type, external)
   private
-  public :: create_results, publish_results, open_results, close_results
+  public :: create_results, publish_results, open_results, close_results, accept_results
 
   !> Paths of the dimension scales, in Fortran order.
   character(len=*), parameter :: by_point(*) = ['/point']
@@ -80,17 +81,58 @@ contains
     if (file%id == no_handle) return
     if (allocated(error)) then
       call discard_file(file)
+      call remove_file(temporary_name(name), other)
     else
       call close_file(file, error)
-      if (.not. allocated(error)) call check_footer(temporary_name(name), error)
-      if (.not. allocated(error)) call sync_file(temporary_name(name), error)
+      call publish_temporary(name, before, error)
     end if
+  end subroutine publish_results
+
+  !> Checks the temporary file, and renames it to the results file; removes it after an error.
+  subroutine publish_temporary(name, before, error)
+    character(len=*), intent(in) :: name
+    type(file_stamp_type), intent(in) :: before
+    type(error_type), allocatable, intent(inout) :: error
+    type(error_type), allocatable :: other
+
+    if (.not. allocated(error)) call check_footer(temporary_name(name), error)
+    if (.not. allocated(error)) call sync_file(temporary_name(name), error)
     if (allocated(error)) then
       call remove_file(temporary_name(name), other)
     else
       call publish_unless_replaced(temporary_name(name), name, before, error)
     end if
-  end subroutine publish_results
+  end subroutine publish_temporary
+
+  !> Gives a results file that lacks a footer a new one, if all in it can be read, and its structure
+  !> and its seeds are those that follow from its namelist. A copy with a footer replaces it.
+  subroutine accept_results(name, before, results, error)
+    !> Path of the file.
+    character(len=*), intent(in) :: name
+    !> Stamp of the file before it was looked at, so that no change in between is accepted.
+    type(file_stamp_type), intent(in) :: before
+    !> Its numbers.
+    type(results_type), intent(out) :: results
+    type(error_type), allocatable, intent(out) :: error
+    type(hdf5_file_type) :: file
+    type(output_datasets_type) :: output_datasets
+    type(task_output_type) :: task_output
+    type(plan_type) :: plan
+    type(point_type) :: point
+    integer :: r, p
+
+    call open_contents(name, file, plan, results, output_datasets, error)
+    do p = 1, merge(0, plan%point_count, allocated(error))
+      point = point_of(plan, p)
+      do r = 1, plan%replicas
+        if (results%task_status(r, p) == task_complete) call read_task_output(file, &
+          output_datasets, r, p, point%number, task_output, error)
+      end do
+    end do
+    call close_results(file, output_datasets)
+    if (.not. allocated(error)) call copy_with_footer(name, temporary_name(name), error)
+    call publish_temporary(name, before, error)
+  end subroutine accept_results
 
   !> Temporary name under which a results file is written.
   pure function temporary_name(name)
@@ -124,10 +166,9 @@ contains
   end subroutine write_scan
 
   !> Opens a results file, verifies its checksum, and reads its numbers, except the parameters of
-  !> points; task outputs are read one by one (`read_task_output`). The file is not trusted: its
-  !> datasets must be those that follow from its namelist, also those that are not read; otherwise
-  !> the error has the code `exit_bad_input`. A file of another version has other datasets; as for a
-  !> damaged file, the code is `exit_failure`.
+  !> points; task outputs are read one by one (`read_task_output`). Its datasets must be those that
+  !> follow from its namelist; otherwise the error has the code `exit_bad_input`. A file of another
+  !> version has other datasets; as for a damaged file, the code is `exit_failure`.
   subroutine open_results(name, file, results, output_datasets, error)
     !> Path of the file.
     character(len=*), intent(in) :: name
@@ -139,14 +180,28 @@ contains
     type(plan_type) :: plan
 
     call check_footer(name, error)
-    if (.not. allocated(error)) call open_file(file, name, error)
+    if (.not. allocated(error)) &
+      call open_contents(name, file, plan, results, output_datasets, error)
+  end subroutine open_results
+
+  !> As `open_results`, also for a file without a footer.
+  subroutine open_contents(name, file, plan, results, output_datasets, error)
+    character(len=*), intent(in) :: name
+    type(hdf5_file_type), intent(out) :: file
+    !> Plan by the namelist in the file.
+    type(plan_type), intent(out) :: plan
+    type(results_type), intent(out) :: results
+    type(output_datasets_type), intent(out) :: output_datasets
+    type(error_type), allocatable, intent(out) :: error
+
+    call open_file(file, name, error)
     if (allocated(error)) return
     call read_plan(file, plan, error)
     if (.not. allocated(error)) call read_tasks(file, plan, results, error)
     if (.not. allocated(error)) call open_output_datasets(file, plan, results, output_datasets, &
       error)
     if (allocated(error)) call close_results(file, output_datasets)
-  end subroutine open_results
+  end subroutine open_contents
 
   !> Closes a results file that was read; a file that is not open is no error.
   subroutine close_results(file, output_datasets)
@@ -182,8 +237,8 @@ contains
     if (status /= 0) plan%initial_fingerprint = 0
   end subroutine read_plan
 
-  !> Reads the numbers of every task. Statuses, seeds and hosts must be valid, since the use of the
-  !> other numbers depends on them.
+  !> Reads the numbers of every task. Seeds and hosts of complete tasks must be valid, since the use
+  !> of the other numbers depends on them.
   subroutine read_tasks(file, plan, results, error)
     type(hdf5_file_type), intent(in) :: file
     type(plan_type), intent(in) :: plan
@@ -203,10 +258,6 @@ contains
     host = place_of('provenance/host', counted_quantities())
     do p = 1, plan%point_count
       do r = 1, plan%replicas
-        if (results%task_status(r, p) < task_complete .or. results%task_status(r, p) &
-          > task_not_asked) call check_status(file, '/task_status', &
-          'has a number without meaning', 1, error)
-        if (allocated(error)) return
         if (results%task_status(r, p) /= task_complete) cycle
         setup = setup_of(plan, p, r)
         if (results%seed(r, p) /= setup%seed) call check_status(file, '/seed', &
@@ -229,7 +280,6 @@ contains
     type(error_type), allocatable, intent(inout) :: error
     type(output_extents_type) :: largest
     integer(int64) :: series(3)
-    real(dp) :: entries
 
     if (all(results%task_status /= task_complete)) return
     largest%replicas = plan%replicas
@@ -237,15 +287,10 @@ contains
     if (plan%series_interval > 0.0_wp) then
       series = extents_of(file, '/series/urn1_number', 3, error)
       if (allocated(error)) return
-      entries = real(series(1), dp)
-      if (entries < 1.0_dp .or. entries > most_numbers .or. (plan%duration > 0.0_wp .and. entries &
-        > real(2.0_wp + plan%duration/plan%series_interval, dp))) then
-        call check_status(file, '/series/urn1_number', 'has '//to_text(series(1)) &
-          //' entries, which is '//'not the length of a series by the namelist in the file', 1, &
-          error)
-      else
-        call check_memory_of(bytes_per_entry*entries, '/series', file, error)
-      end if
+      call check_memory_of(bytes_per_entry*real(series(1), dp), '/series', file, error)
+      if (.not. allocated(error) .and. (series(1) < 1 .or. series(1) > int(most_numbers, int64))) &
+        call check_status(file, '/series/urn1_number', 'has no length that a series can have', 1, &
+        error)
       if (allocated(error)) return
       largest%entries = int(series(1))
     end if
