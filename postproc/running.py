@@ -26,6 +26,7 @@ from postproc.cli import (
     InputError,
     ended_with_python,
     existing_file,
+    file_to_write,
     output_folder,
     path_of,
 )
@@ -95,7 +96,7 @@ def write_namelist(
     """
     if not isinstance(groups, Mapping):
         raise InputError(f"groups = {groups!r}: must be values by group and key")
-    place = None if file is None else path_of(file, "file")
+    place = None if file is None else file_to_write(path_of(file, "file"), namelist=True)
     checked: dict[str, dict[str, object]] = {}
     problems: list[str] = []
     known = _keys(find_program(program))

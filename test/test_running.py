@@ -127,6 +127,16 @@ def test_ranks_that_nothing_waits_for_are_refused(tmp_path: Path) -> None:
                      launcher=unasked)
 
 
+def test_a_namelist_replaces_a_namelist_but_no_results(tmp_path: Path) -> None:
+    results = postproc.run(CASE, folder=tmp_path, quiet=True)
+    before = results.read_bytes()
+    with pytest.raises(ValueError, match="is a results file, and is not replaced"):
+        postproc.write_namelist(results, CASE)
+    assert results.read_bytes() == before
+    for _ in range(2):
+        postproc.write_namelist(tmp_path / "case.nml", CASE)
+
+
 def test_what_a_refused_run_made_is_removed(tmp_path: Path) -> None:
     """Its folder and those above it, but nothing that was there."""
     (tmp_path / "mine").mkdir()
