@@ -30,7 +30,7 @@ from postproc.cli import (
     output_folder,
     path_of,
 )
-from postproc.launcher import program_words
+from postproc.launcher import own_environment, program_words
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -273,13 +273,14 @@ def _keys(program: Path) -> dict[str, tuple[str, ...]]:
     try:
         done = subprocess.run(
             [str(program), "--help"], check=False, text=True, errors="replace",
-            stdin=subprocess.DEVNULL, capture_output=True,
+            stdin=subprocess.DEVNULL, capture_output=True, env=own_environment(),
         )  # fmt: skip
     except OSError as problem:
         raise InputError(f"{program}: {problem.strerror}") from problem
     groups = re.findall(r"^&(\w+)\n((?:  .*\n)*)/$", done.stdout, re.M)
     if done.returncode or not groups:
-        raise InputError(f"{program}: --help lists no groups of a namelist: is it battery?")
+        why = program_words(done.stderr) or "is it battery?"
+        raise InputError(f"{program}: --help lists no groups of a namelist: {why}")
     return {group: tuple(re.findall(r"^  (\w+)", keys, re.M)) for group, keys in groups}
 
 
@@ -335,7 +336,7 @@ def _launch(command: list[str], folder: Path, quiet: bool) -> tuple[int, str, st
         with subprocess.Popen(
             ended_with_python(command), cwd=folder, stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE, stderr=errors, text=True, errors="replace",
-            start_new_session=True,
+            start_new_session=True, env=own_environment(),
         ) as process:  # fmt: skip
             try:
                 for line in process.stdout or ():
