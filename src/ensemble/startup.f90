@@ -3,7 +3,6 @@ module battery_startup
   use battery_kinds, only: wp, dp, int64
   use battery_build_information, only: program_version
   use battery_communicator, only: communicator_type, share_error, share_words
-  use battery_current_age, only: current_remark
   use battery_error, only: error_type, fatal_error, exit_failure, exit_bad_input
   use battery_files, only: file_exists, remove_file
   use battery_journal, only: journal_type, read_plan, task_ids_in, begin_journal, join_journal, &
@@ -13,6 +12,7 @@ module battery_startup
   use battery_metadata, only: read_metadata
   use battery_namelist_input, only: differing_keys, parse_namelist
   use battery_plan, only: plan_type
+  use battery_plan_remarks, only: remarks_of
   use battery_results, only: results_type, task_complete, point_undecided
   use battery_tasks, only: task_type, task_count, task_of, sort_longest_first, task_index_type, &
     task_index_of, task_number_of
@@ -84,8 +84,10 @@ contains
     integer, intent(out) :: rank_files
     integer, allocatable, intent(inout) :: pending(:)
     type(error_type), allocatable, intent(out) :: error
-    character(len=:), allocatable :: message, remark
+    character(len=:), allocatable :: message
+    type(string_type), allocatable :: remarks(:)
     type(progress_type) :: progress
+    integer :: at
 
     complete = .false.
     rank_files = 0
@@ -100,8 +102,10 @@ contains
     if (complete) then
       call remove_journal(journal_folder(plan), error)
     else
-      remark = current_remark(plan)
-      if (remark /= '' .and. .not. quiet) call print_line('remark: '//remark)
+      remarks = remarks_of(plan)
+      do at = 1, merge(0, size(remarks), quiet)
+        call print_line('remark: '//remarks(at)%text)
+      end do
       rank_files = rank_files_in(journal_folder(plan))
       call open_journal(plan, ranks, rank_files, error)
       call sort_longest_first(plan, pending)

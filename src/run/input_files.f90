@@ -9,7 +9,8 @@ module battery_input_files
   use battery_paths, only: is_folder, is_pipe_or_device, same_file, folder_of, real_folder_of, &
     follow_links
   use battery_settings, only: settings_type
-  use battery_namelist_input, only: fill_plan, set_input_error
+  use battery_foreign_bytes, only: is_results_file
+  use battery_namelist_input, only: check_bytes, fill_plan, set_input_error
   use battery_initial_state, only: parse_particles, are_inside
   use battery_plan, only: plan_type, point_type, refuse_value, point_of, point_text, table_of
   implicit none (type, external)
@@ -34,6 +35,9 @@ contains
     type(settings_type) :: settings
 
     call read_input(file, longest_namelist, text, error)
+    ! Of a file that is too long the first bytes are there.
+    if (allocated(error) .and. is_results_file(text)) deallocate (error)
+    if (.not. allocated(error)) call check_bytes(text, file, error)
     if (allocated(error)) then
       if (error%code == exit_failure) error%code = exit_bad_input
       return
