@@ -290,7 +290,7 @@ contains
     !> Whether the plan has no other tasks than the earlier input.
     logical, intent(out) :: same
     type(error_type), allocatable, intent(out) :: error
-    character(len=:), allocatable :: keys
+    character(len=:), allocatable :: keys, longer
 
     keys = differing_keys(before, plan%text)
     same = keys == '' .and. initial_fingerprint == plan%initial_fingerprint
@@ -300,9 +300,13 @@ contains
     else if (has_all_of(plan, before, initial_fingerprint)) then
       return
     end if
+    longer = ''
+    if (index(keys, '&run collisions') > 0 .or. index(keys, '&run duration') > 0) longer = &
+      new_line_character//'(a run goes on from the &output final_state of another, which is then ' &
+      //'its &particles initial_file)'
     call fatal_error(error, plan%file//' was made from another input; these differ:' &
       //new_line_character//keys//new_line_character &
-      //'name another output file, or discard it with --overwrite', exit_bad_input)
+      //'name another output file, or discard it with --overwrite'//longer, exit_bad_input)
   end subroutine compare_inputs
 
   !> Whether a plan has all tasks of an input.
