@@ -31,8 +31,8 @@ ALONE = {
     "OMPI_MCA_orte_create_session_dirs": "0",
 }
 
-# What launchers tell the ranks that they start: a program with these variables is a rank of that job.
-# Not among them are settings of users: OMPI_MCA_* and PRTE_MCA_* other than these, OMPI_CC, SLURM_JOB_*.
+# What launchers tell the ranks that they start: a program with these variables is a rank of that
+# job. Settings of users are not among them: other OMPI_MCA_* and PRTE_MCA_*, OMPI_CC, SLURM_JOB_*.
 _RANK_OF_A_JOB = re.compile(
     r"OMPI_(COMM_WORLD_\w+|UNIVERSE_SIZE|NUM_APP_CTX|FIRST_RANKS|APP_CTX_NUM_PROCS|FILE_LOCATION"
     r"|COMMAND|ARGV|PARENT_\w+)"

@@ -7,8 +7,16 @@ from typing import TYPE_CHECKING
 
 import pytest
 from support.program import (
-    ROOT, finish, hears, namelist, rank_processes, run, send, start, wait_for
-)  # fmt: skip
+    ROOT,
+    finish,
+    hears,
+    namelist,
+    rank_processes,
+    run,
+    send,
+    start,
+    wait_for,
+)
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -1,6 +1,6 @@
-!> Bytes that do not belong into an input file, though they may look as if they did: no-break spaces
-!> and minus signs of word processors, files in UTF-16, line ends of old systems. They are named with
-!> their place, since they cannot be seen.
+!> Bytes that do not belong into an input file, though they may look as if they did: no-break
+!> spaces and minus signs of word processors, files in UTF-16, line ends of old systems. They are
+!> named with their place, since they cannot be seen.
 module battery_foreign_bytes
   use battery_line_problems, only: line_problems_type, add_line_problem, line_problems_text
   use battery_text, only: to_text, new_line_character
@@ -23,15 +23,16 @@ contains
 
   !> Where a text begins: after its byte order mark, which some editors write.
   pure integer function text_start(text) result(first)
+    !> Text of a whole file.
     character(len=*), intent(in) :: text
 
     first = 1
     if (index(text, char(239)//char(187)//char(191)) == 1) first = 4
   end function text_start
 
-  !> The first byte of a namelist, outside of comments and texts in quotes, that is neither ASCII nor
-  !> a blank or a line end: a message with its line and column; empty if there is none. A carriage
-  !> return alone ends no comment, and so is none there either.
+  !> The first foreign byte of a namelist, outside of comments and texts in quotes: a message with
+  !> its line and column; empty if there is none. A carriage return alone, after which a comment
+  !> would go on, is not allowed in comments either.
   pure function namelist_problem(text, name) result(message)
     !> Text of the whole file, and its name.
     character(len=*), intent(in) :: text, name

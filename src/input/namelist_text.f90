@@ -30,7 +30,7 @@ module battery_namelist_text
     character(len=:), allocatable :: group, key
     integer :: line = 0
     type(value_type), allocatable :: values(:)
-    !> Whether a problem of the key itself is reported already, so that its values count for nothing.
+    !> Whether a problem of the key itself is reported already; its values are not used then.
     logical :: refused = .false.
   end type entry_type
 
@@ -181,8 +181,8 @@ contains
     call add_entry(reader, entry)
   end subroutine read_entry
 
-  !> Parses what follows the name of a key up to its =: an index from 1, as f90nml writes it, `(1:n)`
-  !> for all n values, `(1:)` or `(1)`.
+  !> Parses what follows the name of a key up to its =: an index from 1, as f90nml writes it, such
+  !> as `(1:n)` for all n values, `(1:)` or `(1)`.
   subroutine read_index(reader, last)
     type(reader_type), intent(inout) :: reader
     !> n; `any_index` if there is none, `no_index` if this is no index from 1.

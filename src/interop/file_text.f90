@@ -133,8 +133,9 @@ contains
   !> Closes a file that Fortran has written as a stream, and checks that all bytes arrived. What a
   !> pipe or a device has taken is not known.
   subroutine close_written(unit, path, error)
-    !> Unit of the file, at its end, and its path.
+    !> Unit of the file, at its end.
     integer, intent(in) :: unit
+    !> Path of the file.
     character(len=*), intent(in) :: path
     !> The file is shorter than what was written.
     type(error_type), allocatable, intent(out) :: error

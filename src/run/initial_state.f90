@@ -164,8 +164,8 @@ contains
         particles%uy(count) = state(4)/speed
       end if
     end do
-    if (foreign == '' .and. count /= number) call add_line_problem(line_problems, 0, 'has '//to_text(count) &
-      //' particles; allowed: '//to_text(number)//', as &particles number says')
+    if (foreign == '' .and. count /= number) call add_line_problem(line_problems, 0, 'has ' &
+      //to_text(count)//' particles; allowed: '//to_text(number)//', as &particles number says')
     if (line_problems%count > 0) call fatal_error(error, line_problems_text(line_problems, name), &
       exit_bad_input)
   end subroutine parse_particles
