@@ -1,7 +1,7 @@
 !> The program `battery`: reads the command line and the plan, runs the ensemble or prints what was
 !> asked for, and ends with an exit code.
 program battery
-  use battery_json_report, only: write_run_json
+  use battery_json_report, only: check_json_file, write_run_json
   use battery_error, only: error_type, exit_success, exit_failure
   use battery_agreement, only: check_command_lines
   use battery_command_line, only: command_line_type, command_line_words, parse_arguments
@@ -82,6 +82,9 @@ contains
 
     node_ranks = ranks_on_node(communicator)
     call read_plan_once(command_line%file, communicator, plan, error)
+    if (.not. allocated(error) .and. communicator%rank == 0) &
+      call check_json_file(command_line%json, plan, error)
+    call share_error(communicator, error)
     if (allocated(error)) return
     if (command_line%accept) then
       if (communicator%rank == 0) call accept_output(plan, message, error)

@@ -4,6 +4,7 @@ module battery_bench
   use, intrinsic :: iso_fortran_env, only: compiler_version
   use battery_kinds, only: wp, dp, int64
   use battery_error, only: error_type
+  use battery_file_text, only: close_written
   use battery_corners, only: regular_corners
   use battery_table, only: new_table, shape_circuit, urn_type, channel_type
   use battery_urn, only: shape_polygon
@@ -235,10 +236,12 @@ contains
     !> Name of a JSON file to write too, or empty.
     character(len=*), intent(in) :: json
     integer :: file, status, k
+    type(error_type), allocatable :: error
 
     file = 0
     if (json /= '') then
-      open (newunit=file, file=json, status='replace', action='write', iostat=status)
+      open (newunit=file, file=json, status='replace', action='write', access='stream', &
+        form='formatted', iostat=status)
       if (status /= 0) error stop 'bench: cannot write '//json
       call begin_json(file)
     end if
@@ -283,7 +286,8 @@ contains
     write (unit, '(/, a, i0, a)') 'peak memory of this run: ', peak_memory(), ' kB'
     if (file /= 0) then
       call end_json(file)
-      close (file)
+      call close_written(file, json, error)
+      if (allocated(error)) error stop 'bench: '//error%message
     end if
   end subroutine run_all_tables
 

@@ -13,6 +13,8 @@
 !> wrong.
 module battery_probe_visits
   use battery_kinds, only: wp, dp, int64
+  use battery_error, only: error_type
+  use battery_file_text, only: close_written
   use battery_text, only: to_text
   use battery_table, only: table_type, channel1, channel2
   use battery_random, only: hashed_uniform
@@ -68,6 +70,7 @@ contains
     integer(int64) :: count, first
     integer :: bits, n, file, other_file
     logical :: comparing
+    type(error_type), allocatable :: error
 
     bits = int(integer_argument(6))
     width = [rounded_to_bits(real_argument(3), bits), rounded_to_bits(real_argument(4), bits)]
@@ -96,7 +99,8 @@ contains
       end if
       deallocate (computed, other)
     end do
-    close (file)
+    call close_written(file, argument(7), error)
+    if (allocated(error)) call stop_with_message(error%message)
     call print_summary(comparison, count, bits, table, spent, comparing)
   end subroutine visits_main
 

@@ -6,6 +6,7 @@ import argparse
 import importlib
 import math
 import os
+import re
 import sys
 import warnings
 from pathlib import Path
@@ -18,6 +19,8 @@ if TYPE_CHECKING:
     from types import ModuleType
 
 EXIT_BAD_INPUT = 2
+HDF5_SIGNATURE = b"\x89HDF\r\n\x1a\n"
+NAMELIST_BEGIN = re.compile(rb"(\xef\xbb\xbf)?(\s|![^\n]*\n)*&\w")
 COMMAND = "battery-postproc"  # all commands as one, where the package is installed
 
 
@@ -111,6 +114,23 @@ def existing_file(path: Path) -> Path:
         raise InputError(f"{path}: is a folder, not a file")
     if not path.is_file():
         raise InputError(f"{path}: is a pipe or a device, not a file")
+    return path
+
+
+def file_to_write(path: Path, *, namelist: bool = False) -> Path:
+    """Return `path`, at which a file is to be written: no results file, and no namelist.
+
+    `namelist`: a namelist is written, which may replace another.
+    """
+    if not path.is_file():
+        return path
+    with path.open("rb") as file:
+        head = file.read(4096)
+    what = "a results file" if head.startswith(HDF5_SIGNATURE) else ""
+    if NAMELIST_BEGIN.match(head) and not namelist:
+        what = "a namelist"
+    if what:
+        raise InputError(f"{path}: is {what}, and is not replaced; name another file, or remove it")
     return path
 
 

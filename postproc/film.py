@@ -34,7 +34,7 @@ def main(arguments: list[str] | None = None) -> int:
             file=sys.stderr,
         )
     folder = cli.output_folder(given.output)
-    path = folder / ("film.gif" if given.gif else "film.mp4")
+    path = cli.file_to_write(folder / ("film.gif" if given.gif else "film.mp4"))
     write(scenes, given.seconds, path)
     print(path)
     return 0

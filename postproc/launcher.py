@@ -6,6 +6,7 @@ none of them. The Makefile has those that a `make` target needs.
 
 from __future__ import annotations
 
+import os
 import re
 
 # As root (in containers), and with more ranks than cores.
@@ -30,19 +31,43 @@ ALONE = {
     "OMPI_MCA_orte_create_session_dirs": "0",
 }
 
+# What launchers tell the ranks that they start: a program with these variables is a rank of that
+# job. Settings of users are not among them: other OMPI_MCA_* and PRTE_MCA_*, OMPI_CC, SLURM_JOB_*.
+_RANK_OF_A_JOB = re.compile(
+    r"OMPI_(COMM_WORLD_\w+|UNIVERSE_SIZE|NUM_APP_CTX|FIRST_RANKS|APP_CTX_NUM_PROCS|FILE_LOCATION"
+    r"|COMMAND|ARGV|PARENT_\w+)"
+    r"|OMPI_MCA_(ess|ess_base_\w+|pmix|initial_wdir"
+    r"|orte_(ess_\w+|\w+_uri|app_num|num_nodes|num_restarts|bound_at_launch|launch"
+    r"|precondition_transports|top_session_dir|jobfam_session_dir))"
+    r"|PMIX_(?!MCA_|INSTALL_PREFIX)\w+"
+    r"|PRTE_(?!MCA_|PREFIX|INSTALL_PREFIX|ALLOW_RUN_AS_ROOT)\w+|PRTE_MCA_(ess_base|prte_ess)_\w+"
+    r"|PMI2?_\w+|HYDI_\w+|MPI_LOCALN?RANK(ID|S)"
+    r"|SLURM_(STEP\w*|PROCID|LOCALID|NODEID|TASK_PID|GTIDS|SRUN_COMM_\w+|LAUNCH_NODE_IPADDR)"
+)
+
 # A warning of Open MPI 5 on hosts without a network: each rank writes it in parts, which are mixed
 # within lines if ranks write simultaneously.
 _WARNING = re.compile(
     r"\[[^][\n]*\]\[\[\d+,\d+\],\d+\]\[[^][\n]*:mca_btl_tcp_proc_create_interface_graph\] ?"
     r"|Unable to find reachable pairing between local and remote interfaces"
 )
-# A block between two rules, or a line that begins with [host:process] or with a launcher's name.
+# A block between two rules, or a line that begins with [host:process], with a launcher's name, or
+# with three stars, as the errors of Open MPI do; what MPICH says of a rank that a signal ended.
 _NOISE = re.compile(
-    r"^([-=])\1{29,}\n(?:.*\n)*?\1{30,}\n"
-    r"|^\[[^\n]*\n"
+    r"^([-=*])\1{29,}\n(?:.*\n)*?\1{30,}\n"
+    r"|^(?:\[|\*\*\* )[^\n]*\n"
+    r"|^(?:YOUR APPLICATION TERMINATED|This typically refers to|Please see the FAQ)[^\n]*\n"
     r"|^(?:mpirun|mpiexec|prterun|prted|orted|srun|slurmstepd)\b[^\n]*\n",
     re.MULTILINE,
 )
+
+
+def own_environment() -> dict[str, str]:
+    """Return the environment in which a program is a job of its own.
+
+    Python may itself be a rank, under `mpirun` or `srun`: the variables of that job are left out.
+    """
+    return {name: one for name, one in os.environ.items() if not _RANK_OF_A_JOB.fullmatch(name)}
 
 
 def program_words(errors: str) -> str:

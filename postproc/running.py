@@ -25,10 +25,11 @@ from postproc.cli import (
     InputError,
     ended_with_python,
     existing_file,
+    file_to_write,
     output_folder,
     path_of,
 )
-from postproc.launcher import program_words
+from postproc.launcher import own_environment, program_words
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -94,7 +95,7 @@ def write_namelist(
     """
     if not isinstance(groups, Mapping):
         raise InputError(f"groups = {groups!r}: must be values by group and key")
-    place = None if file is None else path_of(file, "file")
+    place = None if file is None else file_to_write(path_of(file, "file"), namelist=True)
     checked: dict[str, dict[str, object]] = {}
     problems: list[str] = []
     known = _keys(find_program(program))
@@ -270,14 +271,19 @@ def _keys(program: Path) -> dict[str, tuple[str, ...]]:
     """Return the names of all groups, and of the keys of each, as the program lists them."""
     try:
         done = subprocess.run(
-            [str(program), "--schema"], check=False, stdin=subprocess.DEVNULL, capture_output=True
+            [str(program), "--schema"],
+            check=False,
+            stdin=subprocess.DEVNULL,
+            capture_output=True,
+            env=own_environment(),
         )
         groups = json.loads(done.stdout)["properties"]
         return {group: tuple(keys["properties"]) for group, keys in groups.items()}
     except OSError as problem:
         raise InputError(f"{program}: {problem.strerror}") from problem
     except (ValueError, LookupError, TypeError) as problem:
-        raise InputError(f"{program}: --schema prints no schema: is it battery?") from problem
+        why = program_words(done.stderr.decode(errors="replace")) or "is it battery?"
+        raise InputError(f"{program}: --schema prints no schema: {why}") from problem
 
 
 def _values(
@@ -332,7 +338,7 @@ def _launch(command: list[str], folder: Path, quiet: bool) -> tuple[int, str, st
         with subprocess.Popen(
             ended_with_python(command), cwd=folder, stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE, stderr=errors, text=True, errors="replace",
-            start_new_session=True,
+            start_new_session=True, env=own_environment(),
         ) as process:  # fmt: skip
             try:
                 for line in process.stdout or ():

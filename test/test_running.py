@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import os
 import signal
+import subprocess
+import sys
 import threading
 import time
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
-from support.program import ALONE, ENVIRONMENT, PROGRAM, assert_same
+from support.program import ALONE, ENVIRONMENT, MPIRUN, PATIENCE, PROGRAM, ROOT, assert_same
 from support.program import run as run_program
 
 import postproc
@@ -55,6 +57,26 @@ def test_a_run_of_values_is_the_run_of_its_namelist(
     shared = postproc.run(tmp_path / "in.nml", ranks=2, folder=tmp_path / "ranks", quiet=True)
     assert_same(there, shared)
     assert postproc.open_results(shared)["chi"].sizes["channel2_width"] == 2
+
+
+def test_a_rank_of_another_job_starts_runs_of_their_own(tmp_path: Path) -> None:
+    """Python under mpirun, as with mpi4py: several runs one after the other, alone and on ranks."""
+    case = changed(scan={"channel2_width": 0.1, "replicas": 2}, run={"transient_duration": 0.1})
+    case["output"] = {"file": "case.h5"}
+    script = """
+import postproc
+
+for ranks in (1, 1, 2):
+    print(postproc.run({}, ranks=ranks, overwrite=True, quiet=True, launcher={!r}))
+"""
+    command = [MPIRUN, "-n", "1", sys.executable, "-c", script.format(case, [MPIRUN, "-n"])]
+    environment = {**ENVIRONMENT, "BATTERY_PROGRAM": str(PROGRAM), "PYTHONPATH": str(ROOT)}
+    ended = subprocess.run(
+        command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False,
+        timeout=PATIENCE,
+    )  # fmt: skip
+    assert ended.returncode == 0, ended.stderr
+    assert ended.stdout == f"{tmp_path / 'case.h5'}\n" * 3
 
 
 def test_a_complete_run_is_there_at_once(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
@@ -125,6 +147,16 @@ def test_ranks_that_nothing_waits_for_are_refused(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="replicas"):
         postproc.run({**CASE, "scan": {"replicas": 0}}, folder=tmp_path, ranks=1_000_000,
                      launcher=unasked)
+
+
+def test_a_namelist_replaces_a_namelist_but_no_results(tmp_path: Path) -> None:
+    results = postproc.run(CASE, folder=tmp_path, quiet=True)
+    before = results.read_bytes()
+    with pytest.raises(ValueError, match="is a results file, and is not replaced"):
+        postproc.write_namelist(results, CASE)
+    assert results.read_bytes() == before
+    for _ in range(2):
+        postproc.write_namelist(tmp_path / "case.nml", CASE)
 
 
 def test_what_a_refused_run_made_is_removed(tmp_path: Path) -> None:

@@ -6,7 +6,17 @@ import signal
 from typing import TYPE_CHECKING
 
 import pytest
-from support.program import ROOT, finish, namelist, rank_processes, run, send, start, wait_for
+from support.program import (
+    ROOT,
+    finish,
+    hears,
+    namelist,
+    rank_processes,
+    run,
+    send,
+    start,
+    wait_for,
+)
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -62,6 +72,39 @@ def test_the_signal_that_mpirun_passes_on_loses_nothing(tmp_path: Path) -> None:
     states = list((tmp_path / "out.h5.tasks").glob("task_*"))
     assert max(path.stat().st_size for path in states) > 40 * 200_000
     assert "stopped early, the state is saved" in ended.stdout
+
+
+@pytest.mark.parametrize(
+    ("what", "ranks"),
+    [(signal.SIGUSR2, 2), (signal.SIGUSR2, 0), (signal.SIGXCPU, 0), (signal.SIGHUP, 0)],
+)
+def test_the_signals_of_batch_systems_and_terminals_lose_nothing(
+    tmp_path: Path, what: signal.Signals, ranks: int
+) -> None:
+    """A warning, an exhausted processor time, a closed terminal: the state is saved, exit 3."""
+    write(tmp_path)
+    process = start("case.nml", folder=tmp_path, ranks=ranks)
+    assert rank_processes(process, ranks)
+    assert wait_for(lambda: any((tmp_path / "out.h5.tasks").glob("task_*")), process)
+    send([process.pid], what)
+    ended = finish(process)
+    assert ended.returncode == 3, (ended.stdout, ended.stderr)
+    assert "stopped early, the state is saved" in ended.stdout
+
+
+def test_nohup_keeps_a_run_from_the_signal_of_its_terminal(tmp_path: Path) -> None:
+    """What is ignored at the start stays ignored; the next signal stops the run."""
+
+    def ignore() -> None:
+        signal.signal(signal.SIGHUP, signal.SIG_IGN)
+
+    write(tmp_path)
+    process = start("case.nml", folder=tmp_path, prepare=ignore)
+    assert wait_for(lambda: any((tmp_path / "out.h5.tasks").glob("task_*")), process)
+    assert not hears(process, signal.SIGHUP)
+    send([process.pid], signal.SIGHUP)
+    send([process.pid], signal.SIGUSR1)
+    assert finish(process).returncode == 3
 
 
 @pytest.mark.full

@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 from matplotlib.patheffects import Normal, Stroke
 from matplotlib.ticker import MaxNLocator
 
-from postproc.cli import InputError, output_folder
+from postproc.cli import InputError, file_to_write, output_folder
 
 if TYPE_CHECKING:
     from contextlib import AbstractContextManager
@@ -124,7 +124,7 @@ def note(axes: Axes, text: str) -> None:
 def save(made: Figure, folder: Path, name: str) -> list[Path]:
     """Write `name`.png and `name`.pdf into `folder`, print and return their paths."""
     output_folder(folder)
-    paths = [folder / f"{name}.png", folder / f"{name}.pdf"]
+    paths = [file_to_write(folder / f"{name}.{kind}") for kind in ("png", "pdf")]
     try:
         made.savefig(paths[0], dpi=RESOLUTION, metadata={"Software": None})
         made.savefig(paths[1], metadata={"CreationDate": None})

@@ -24,11 +24,12 @@ def main(arguments: list[str] | None = None) -> int:
     add_models(options)
     cli.add_output(options)
     given = options.parse_args(arguments)
+    path = cli.file_to_write(given.output / f"{given.file.stem}.html")
     models = {one.name: one for one in named(given.model or DEFAULT)}
     with Results(given.file, verify=given.verify) as results:
         text = cli.extra("report", "postproc.report.page").page(results, models)
         results.say_if_partial()
-    path = cli.output_folder(given.output) / f"{given.file.stem}.html"
+    cli.output_folder(given.output)
     try:
         path.write_text(text, encoding="utf-8")
     except OSError as problem:

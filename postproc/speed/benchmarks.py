@@ -76,7 +76,7 @@ def run(program: Path, counted: Path, output: Path, console: Console) -> None:
     """Run all benchmarks, print and write the results."""
     if not program.exists():
         raise cli.InputError(f"{program}: no such program (make bench builds it)")
-    cli.output_folder(output.parent)
+    cli.output_folder(cli.file_to_write(output).parent)
     command = [str(program), "--json", str(output)]
     if subprocess.run(cli.ended_with_python(command), check=False).returncode:
         raise _spoken(command, "")

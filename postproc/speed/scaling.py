@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import re
 import resource
 import statistics
@@ -16,7 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from postproc import cli
-from postproc.launcher import LAUNCHER
+from postproc.launcher import LAUNCHER, own_environment
 
 if TYPE_CHECKING:
     pass
@@ -40,7 +39,7 @@ SCAN = """&particles
 /
 """
 
-ENVIRONMENT = {**os.environ, **LAUNCHER}
+ENVIRONMENT = {**own_environment(), **LAUNCHER}
 
 
 @dataclass(frozen=True)

@@ -59,6 +59,32 @@ def test_no_whole_file(
     assert capsys.readouterr().err.count("\n") == 1
 
 
+@pytest.mark.parametrize(
+    ("words", "written"),
+    [
+        (["scene", "run.html"], "scene.png"),
+        (["report", "run.html"], "run.html"),
+        (["benchmarks", "run", "--program", sys.executable, "--output", "own"], "own"),
+    ],
+)
+@pytest.mark.parametrize("before", ["results", "a namelist"])
+def test_no_file_of_another_kind_is_replaced(
+    files: Path, tmp_path: Path, words: list[str], written: str, before: str,
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch,
+) -> None:  # fmt: skip
+    """Results are not, and no namelist: a picture, a report or a table may have their name."""
+    monkeypatch.chdir(tmp_path)
+    Path("run.html").write_bytes((files / "whole.h5").read_bytes())
+    if before == "results":
+        Path(written).write_bytes(Path("run.html").read_bytes())
+    elif written != "run.html":
+        Path(written).write_text("! mine\n&particles number = 3 /\n")
+    there = Path(written).read_bytes()
+    assert call(words[0], words[1:]) == 2
+    assert "and is not replaced" in capsys.readouterr().err
+    assert Path(written).read_bytes() == there
+
+
 SHORT = {"run": {"duration": 30.0, "transient_duration": 0.0}}
 ODD: dict[str, dict[str, dict[str, object]]] = {
     "one": {"particles": {"number": 1}, "scan": {"threshold": 1, "replicas": 1}},

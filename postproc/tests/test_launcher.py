@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from postproc.launcher import program_words
+from postproc.launcher import LAUNCHER, own_environment, program_words
 
 OWN = "case.nml, line 3: threshold = -1: must be 0 or more\ncase.nml: [particles] is no group"
 RULE = "-" * 74
@@ -21,6 +21,10 @@ NOISE = {
     "exit code": f"{RULE}\nmpirun detected that processes exited with non-zero status,\n"
     f"thus causing the job to be terminated.\n\n  Exit code:    2\n{RULE}\n",
     "srun": "srun: error: node1: task 0: Exited with exit code 2\n",
+    "error of MPI": "*** An error occurred in MPI_Init\n*** on a NULL communicator\n",
+    "stars": f"\n{'*' * 58}\n\nmpirun does not support recursive calls\n\n{'*' * 58}\n",
+    "signal": "YOUR APPLICATION TERMINATED WITH THE EXIT STRING: Killed (signal 9)\n"
+    "This typically refers to a problem with your application.\n",
     "hydra": f"\n{'=' * 79}\n=   BAD TERMINATION OF ONE OF YOUR PROCESSES\n{'=' * 79}\n",
 }
 
@@ -43,3 +47,19 @@ def test_all_noise_at_once() -> None:
 def test_where_there_is_nothing_else_a_launcher_is_heard() -> None:
     assert program_words(NOISE["block"]) == NOISE["block"].strip()
     assert program_words("") == ""
+
+
+def test_a_program_is_a_job_of_its_own_with_the_settings_of_its_user(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Variables as Open MPI 4.1 and 5.0, MPICH 4.0 and Slurm 22.05 set them for a rank."""
+    users = {*LAUNCHER, "OMPI_MCA_btl", "OMPI_MCA_orte_tmpdir_base", "PMIX_MCA_gds", "OMPI_CC"}
+    users |= {"SLURM_JOB_ID", "SLURM_JOB_NODELIST", "PRTE_MCA_ras_base_verbose", "HYDRA_IFACE"}
+    job = {"OMPI_COMM_WORLD_RANK", "OMPI_MCA_ess", "OMPI_MCA_orte_hnp_uri", "OMPI_MCA_pmix"}
+    job |= {"PMIX_RANK", "PMIX_NAMESPACE", "PRTE_LAUNCHED", "PMI_FD", "PMI_RANK", "MPI_LOCALRANKID"}
+    job |= {"HYDI_CONTROL_FD", "SLURM_STEP_ID", "SLURM_STEPID", "SLURM_PROCID"}
+    for name in users | job:
+        monkeypatch.setenv(name, "1")
+    kept = own_environment().keys()
+    assert users <= kept
+    assert not job & kept

@@ -1,15 +1,77 @@
 !> JSON report of a run or a plan for scripts, written to a file: standard output is for people, and
-!> a launcher may change it.
+!> a launcher may change it. No file is replaced but one that this module wrote.
 module battery_json_report
-  use battery_kinds, only: dp
-  use battery_error, only: error_type, fatal_error, exit_failure
-  use battery_paths, only: real_folder_of
+  use battery_error, only: error_type, fatal_error, exit_failure, exit_bad_input
+  use battery_file_text, only: read_input, write_file, is_standard_output
+  use battery_files, only: file_exists, is_writable
+  use battery_input_files, only: part_of_output
+  use battery_kinds, only: dp, int64
+  use battery_paths, only: is_folder, is_pipe_or_device, same_file, folder_of, real_folder_of
+  use battery_plan, only: plan_type
   use battery_text, only: to_text
   implicit none (type, external)
   private
-  public :: write_run_json, write_plan_json
+  public :: check_json_file, write_run_json, write_plan_json
+
+  !> First member of each object, by which its file is recognised.
+  character(len=*), parameter :: mark = '{"written_by": "battery --json"'
 
 contains
+
+  !> Checks, before anything is run, that the JSON file can be written and would replace nothing: it
+  !> is new, empty, a pipe, a device, standard output, or a file that this module wrote.
+  subroutine check_json_file(path, plan, error)
+    !> Path of the JSON file; empty: none is written.
+    character(len=*), intent(in) :: path
+    !> The plan, whose files it must not be.
+    type(plan_type), intent(in) :: plan
+    !> The file is another one; code `exit_bad_input`.
+    type(error_type), allocatable, intent(out) :: error
+    character(len=:), allocatable :: reason
+
+    if (path == '') return
+    reason = part_of_output(plan%file, path)
+    if (same_file(path, plan%input_file)) reason = 'the namelist'
+    if (same_file(path, plan%initial_file)) reason = 'the initial file'
+    ! /dev/null may be the namelist as well.
+    if (is_pipe_or_device(path)) reason = ''
+    if (reason /= '') then
+      reason = 'this is '//reason
+    else
+      reason = reason_to_keep(path)
+    end if
+    if (reason /= '') call fatal_error(error, 'battery: --json '//path//': '//reason &
+      //'; allowed: a new file, an empty one, a pipe, a device, or what --json wrote before', &
+      exit_bad_input)
+  end subroutine check_json_file
+
+  !> Why a path cannot be written to, or must not be replaced; empty: it can.
+  function reason_to_keep(path) result(reason)
+    character(len=*), intent(in) :: path
+    character(len=:), allocatable :: reason
+    !> Bytes of the longest file of this module: a path has up to 4096, each written as up to six.
+    integer(int64), parameter :: longest = 40000_int64
+    character(len=:), allocatable :: text
+    type(error_type), allocatable :: error
+
+    reason = ''
+    if (is_pipe_or_device(path) .or. is_standard_output(path)) return
+    if (is_folder(path)) then
+      reason = 'this is a folder'
+    else if (.not. file_exists(path)) then
+      if (.not. is_folder(folder_of(path))) then
+        reason = 'the folder '//folder_of(path)//' does not exist'
+      else if (.not. is_writable(folder_of(path))) then
+        reason = 'the folder '//folder_of(path)//' cannot be written to'
+      end if
+    else if (.not. is_writable(path)) then
+      reason = 'the file cannot be written to'
+    else
+      call read_input(path, longest, text, error)
+      if (allocated(error) .or. (text /= '' .and. index(text, mark) /= 1)) &
+        reason = 'the file has other contents, and is kept'
+    end if
+  end function reason_to_keep
 
   !> Writes the absolute path of the results file; null if there is none.
   subroutine write_run_json(path, results, error)
@@ -46,19 +108,23 @@ contains
       //trim(adjustl(numbers(2))), error)
   end subroutine write_plan_json
 
-  !> Writes an object with these members.
+  !> Writes an object with these members behind its mark.
   subroutine write_members(path, members, error)
     character(len=*), intent(in) :: path, members
     type(error_type), allocatable, intent(out) :: error
-    character(len=256) :: reason
-    integer :: unit, status
+    character(len=:), allocatable :: reason
 
     if (path == '') return
-    open (newunit=unit, file=path, status='replace', action='write', form='unformatted', &
-      access='stream', iostat=status, iomsg=reason)
-    if (status == 0) write (unit, iostat=status, iomsg=reason) '{'//members//'}'//achar(10)
-    if (status == 0) close (unit, iostat=status, iomsg=reason)
-    if (status /= 0) call fatal_error(error, '--json '//path//': '//trim(reason), exit_failure)
+    ! Another program may have put a file there during the run.
+    reason = reason_to_keep(path)
+    if (reason == '') then
+      call write_file(path, mark//', '//members//'}'//achar(10), error)
+    else
+      call fatal_error(error, path//': '//reason)
+    end if
+    if (.not. allocated(error)) return
+    error%message = 'battery: --json '//error%message
+    error%code = exit_failure
   end subroutine write_members
 
   !> A text as a JSON string, with quotes and escapes.

@@ -4,7 +4,6 @@ module battery_startup
   use battery_build_information, only: program_version
   use battery_communicator, only: communicator_type, share_error, share_words
   use battery_checksum_footer, only: check_footer
-  use battery_current_age, only: current_remark
   use battery_error, only: error_type, fatal_error, exit_failure, exit_bad_input
   use battery_files, only: file_exists, remove_file
   use battery_journal, only: journal_type, read_plan, task_ids_in, begin_journal, join_journal, &
@@ -15,6 +14,7 @@ module battery_startup
   use battery_metadata, only: read_metadata
   use battery_namelist_input, only: differing_keys, parse_namelist
   use battery_plan, only: plan_type
+  use battery_plan_remarks, only: remarks_of
   use battery_results, only: results_type, task_complete, point_undecided
   use battery_results_file, only: accept_results
   use battery_tasks, only: task_type, task_count, task_of, sort_longest_first, task_index_type, &
@@ -83,8 +83,10 @@ contains
     integer, intent(out) :: rank_files
     integer, allocatable, intent(inout) :: pending(:)
     type(error_type), allocatable, intent(out) :: error
-    character(len=:), allocatable :: message, remark
+    character(len=:), allocatable :: message
+    type(string_type), allocatable :: remarks(:)
     type(progress_type) :: progress
+    integer :: at
 
     complete = .false.
     rank_files = 0
@@ -99,8 +101,10 @@ contains
     if (complete) then
       call remove_journal(journal_folder(plan), error)
     else
-      remark = current_remark(plan)
-      if (remark /= '' .and. .not. quiet) call print_line('remark: '//remark)
+      remarks = remarks_of(plan)
+      do at = 1, merge(0, size(remarks), quiet)
+        call print_line('remark: '//remarks(at)%text)
+      end do
       rank_files = rank_files_in(journal_folder(plan))
       call open_journal(plan, ranks, rank_files, error)
       call sort_longest_first(plan, pending)
@@ -331,7 +335,7 @@ contains
     !> Whether the plan has no other tasks than the earlier input.
     logical, intent(out) :: same
     type(error_type), allocatable, intent(out) :: error
-    character(len=:), allocatable :: keys
+    character(len=:), allocatable :: keys, longer
 
     keys = differing_keys(before, plan%text)
     same = keys == '' .and. initial_fingerprint == plan%initial_fingerprint
@@ -341,9 +345,13 @@ contains
     else if (has_all_of(plan, before, initial_fingerprint)) then
       return
     end if
+    longer = ''
+    if (index(keys, '&run collisions') > 0 .or. index(keys, '&run duration') > 0) longer = &
+      new_line_character//'(a run goes on from the &output final_state of another, which is then ' &
+      //'its &particles initial_file)'
     call fatal_error(error, plan%file//' was made from another input; these differ:' &
       //new_line_character//keys//new_line_character &
-      //'name another output file, or discard it with --overwrite', exit_bad_input)
+      //'name another output file, or discard it with --overwrite'//longer, exit_bad_input)
   end subroutine compare_inputs
 
   !> Whether a plan has all tasks of an input.

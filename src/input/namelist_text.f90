@@ -4,6 +4,7 @@
 !> `/` or `&end`, any case), but line numbers are stored, and parsing continues after an error.
 module battery_namelist_text
   use battery_text, only: to_text, lower_case
+  use battery_foreign_bytes, only: text_start
   use battery_line_problems, only: line_problems_type, add_line_problem, displayable_text
   implicit none (type, external)
   private
@@ -13,6 +14,9 @@ module battery_namelist_text
   integer, parameter, public :: most_values = 100000
   !> Largest total number of letters of a repeated text.
   integer, parameter :: most_letters = 10000000
+
+  !> In place of the last index of a list: any, none that is allowed.
+  integer, parameter :: any_index = -1, no_index = -2
 
   !> One value as written, without its quotes.
   type :: value_type
@@ -26,6 +30,8 @@ module battery_namelist_text
     character(len=:), allocatable :: group, key
     integer :: line = 0
     type(value_type), allocatable :: values(:)
+    !> Whether a problem of the key itself is reported already; its values are not used then.
+    logical :: refused = .false.
   end type entry_type
 
   !> The beginning of a group, `&name`.
@@ -69,8 +75,7 @@ contains
     allocate (reader%groups(count([(text(at:at) == '&', at=1, len(text))])), reader%entries(64), &
       reader%values(most_values))
     reader%text = text
-    ! A byte order mark, which some editors write.
-    if (index(text, char(239)//char(187)//char(191)) == 1) reader%at = 4
+    reader%at = text_start(text)
     do
       call skip_blanks(reader)
       if (at_end(reader)) exit
@@ -147,6 +152,7 @@ contains
     character(len=*), intent(in) :: group
     type(entry_type) :: entry
     character(len=:), allocatable :: name
+    integer :: last_index
 
     entry%group = group
     entry%line = reader%line
@@ -160,20 +166,49 @@ contains
       return
     end if
     call skip_blanks(reader)
-    if (next_sign(reader) == '(' .or. next_sign(reader) == '%') then
-      call add_line_problem(reader%problems, reader%line, name//': parts of a key cannot be set; ' &
-        //'allowed: the whole list, '//displayable_text(entry%key)//' = 1, 2, ...')
-      call skip_line(reader)
-      return
-    end if
+    last_index = any_index
+    if (scan(next_sign(reader), '(%') == 1) call read_index(reader, last_index)
     if (next_sign(reader) /= '=') then
       call add_line_problem(reader%problems, entry%line, name//': = is missing')
       return
     end if
     reader%at = reader%at + 1
     call read_values(reader, name, entry%values)
+    entry%refused = last_index /= any_index .and. last_index /= size(entry%values)
+    if (entry%refused) call add_line_problem(reader%problems, entry%line, name &
+      //': parts of a key cannot be set; allowed: the whole list, '//displayable_text(entry%key) &
+      //' = 1, 2, ... or '//displayable_text(entry%key)//'(1:2) = 1, 2')
     call add_entry(reader, entry)
   end subroutine read_entry
+
+  !> Parses what follows the name of a key up to its =: an index from 1, as f90nml writes it, such
+  !> as `(1:n)` for all n values, `(1:)` or `(1)`.
+  subroutine read_index(reader, last)
+    type(reader_type), intent(inout) :: reader
+    !> n; `any_index` if there is none, `no_index` if this is no index from 1.
+    integer, intent(out) :: last
+    character(len=:), allocatable :: index_text
+    integer :: length, at
+
+    length = scan(reader%text(reader%at:reader%at + line_length(reader) - 1), '=') - 1
+    if (length < 0) length = line_length(reader)
+    associate (written => reader%text(reader%at:reader%at + length - 1))
+      allocate (character(len=0) :: index_text)
+      do at = 1, length
+        if (scan(written(at:at), ' '//tab) == 0) index_text = index_text//written(at:at)
+      end do
+    end associate
+    reader%at = reader%at + length
+    last = no_index
+    at = len(index_text)
+    if (index_text == '(1)' .or. index_text == '(1:)') then
+      last = any_index
+    else if (index(index_text, '(1:') == 1 .and. index_text(at:) == ')') then
+      ! More digits than `most_values` has are no number of values.
+      if (at - 4 <= 6 .and. verify(index_text(4:at - 1), '0123456789') == 0) &
+        read (index_text(4:at - 1), *) last
+    end if
+  end subroutine read_index
 
   !> Adds an entry to those read so far.
   subroutine add_entry(reader, entry)

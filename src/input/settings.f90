@@ -74,11 +74,14 @@ contains
         call add_line_problem(settings%problems, entries(at)%line, entry_name(entries(at)) &
           //' = '//written_text(entries(at)%values)//': is given again; allowed: once (line ' &
           //to_text(settings%all(place)%line)//')')
+      else if (entries(at)%refused) then
+        meant(at) = place
       else
         call set_from_entry(entries(at), settings%all(place), settings%problems)
       end if
     end do
-    ! A misspelt key counts as given and refused, so it is not reported as missing as well.
+    ! A misspelt key, or one with an index, counts as given and refused, so it is not reported as
+    ! missing as well.
     do at = 1, size(entries)
       if (meant(at) == 0) cycle
       associate (setting => settings%all(meant(at)))

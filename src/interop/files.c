@@ -39,13 +39,6 @@ int battery_kind_of(const char *path) {
   return S_ISREG(found.st_mode) ? 1 : S_ISDIR(found.st_mode) ? 2 : 3;
 }
 
-/* Whether two paths name the same object. */
-int battery_same_file(const char *one, const char *other) {
-  struct stat left, right;
-  return stat(one, &left) == 0 && stat(other, &right) == 0 && left.st_dev == right.st_dev
-    && left.st_ino == right.st_ino;
-}
-
 /* Replaces a path by the final target of its links, which need not exist; `path` has `capacity` bytes. */
 int battery_follow(char *path, int capacity) {
   char target[PATH_MAX], joined[2 * PATH_MAX + 1];
@@ -61,6 +54,31 @@ int battery_follow(char *path, int capacity) {
     strcpy(path, joined);
   }
   return ELOOP;
+}
+
+/* Whether two paths name the same object, or would if it were made. */
+int battery_same_file(const char *one, const char *other) {
+  struct stat found[2];
+  const char *given[2] = {one, other};
+  char path[2][PATH_MAX], *name[2];
+  int missing[2];
+  for (int k = 0; k < 2; k++) {
+    if (given[k][0] == '\0' || strlen(given[k]) >= PATH_MAX) return 0;
+    strcpy(path[k], given[k]);
+    if (battery_follow(path[k], PATH_MAX) != 0) return 0;
+    name[k] = path[k];
+    missing[k] = stat(path[k], &found[k]) != 0;
+    if (!missing[k]) continue;
+    char *slash = strrchr(path[k], '/');
+    if (slash != NULL) {
+      name[k] = slash + 1;
+      *slash = '\0';
+    }
+    const char *folder = slash == NULL ? "." : slash == path[k] ? "/" : path[k];
+    if (stat(folder, &found[k]) != 0) return 0;
+  }
+  return missing[0] == missing[1] && found[0].st_dev == found[1].st_dev
+    && found[0].st_ino == found[1].st_ino && (!missing[0] || strcmp(name[0], name[1]) == 0);
 }
 
 /* Bytes of the longest path. */
@@ -170,6 +188,36 @@ int64_t battery_read_some(int descriptor, char *bytes, int64_t capacity) {
 }
 
 int battery_close(int descriptor) { return close(descriptor); }
+
+/* Whether a path names standard output, such as /dev/stdout or the file that it is redirected to. */
+int battery_is_standard_output(const char *path) {
+  struct stat found, output;
+  int access_mode = fcntl(STDOUT_FILENO, F_GETFL) & O_ACCMODE;
+  return stat(path, &found) == 0 && fstat(STDOUT_FILENO, &output) == 0
+    && found.st_dev == output.st_dev && found.st_ino == output.st_ino && access_mode != O_RDONLY;
+}
+
+/* Writes a whole file, which is emptied first unless it is standard output, to which is appended. */
+int battery_write_file(const char *path, const char *bytes, size_t length) {
+  int shared = battery_is_standard_output(path);
+  int descriptor = shared ? STDOUT_FILENO
+    : open(path, O_WRONLY | O_CREAT | O_TRUNC | O_NOCTTY | O_CLOEXEC, 0666);
+  if (descriptor < 0) return errno;
+  int status = 0;
+  while (length > 0 && status == 0) {
+    ssize_t written = write(descriptor, bytes, length);
+    if (written < 0 && errno == EAGAIN) {
+      struct pollfd ready = {.fd = descriptor, .events = POLLOUT};
+      poll(&ready, 1, -1);
+    } else if (written < 0 && errno != EINTR) {
+      status = errno;
+    } else if (written > 0) {
+      bytes += written;
+      length -= (size_t)written;
+    }
+  }
+  return shared || close(descriptor) == 0 || status != 0 ? status : errno;
+}
 
 /* The next name in an open folder that matches a pattern of `*` and `?`; NULL at the end. */
 const char *battery_next_like(DIR *folder, const char *pattern) {

@@ -56,9 +56,9 @@ contains
     kind_of = c_kind_of(path//c_null_char)
   end function kind_of
 
-  !> Whether two paths name the same file, links followed.
+  !> Whether two paths name the same file, or would if it were made; links followed.
   logical function same_file(one, other) result(yes)
-    !> The two paths; if either file is missing, they are not the same.
+    !> The two paths; if only one of the files is missing, they are not the same.
     character(len=*), intent(in) :: one, other
 
     yes = c_same_file(one//c_null_char, other//c_null_char) /= 0

@@ -4,6 +4,10 @@
 #include <time.h>
 #include <unistd.h>
 
+/* The signals that request a stop, in the order of their names in signals.f90. */
+static const int requests[] = {SIGINT, SIGUSR1, SIGTERM, SIGUSR2, SIGXCPU, SIGHUP};
+enum { request_count = sizeof requests / sizeof requests[0] };
+
 /* Seconds after the first signal within which further signals are ignored. */
 static const double same_signal = 0.5;
 
@@ -17,42 +21,42 @@ static double now(void)
   return (double)time.tv_sec + 1e-9*(double)time.tv_nsec;
 }
 
+/* The system sends SIGXCPU once a second, and SIGHUP again when the shell ends: as a further signal
+   they do not ask for an end at once. */
 static void receive(int number)
 {
   if (!received) {
     received_at = now();
     received = number;
-  } else if (now() - received_at > same_signal) {
+  } else if (number != SIGXCPU && number != SIGHUP && now() - received_at > same_signal) {
     _exit(128 + number);
   }
 }
 
-/* Sets the handlers: the three signals request a stop; a write beyond a size limit or to a closed pipe
-   fails, but does not end the program. */
+/* Sets the handlers: the signals of the list request a stop; a write beyond a size limit or to a closed
+   pipe fails, but does not end the program. SIGHUP stays ignored where it is ignored (nohup). */
 void signals_watch(void)
 {
-  struct sigaction stop = {0}, ignore = {0};
+  struct sigaction stop = {0}, ignore = {0}, before = {0};
   stop.sa_handler = receive;
   stop.sa_flags = SA_RESTART;
   sigemptyset(&stop.sa_mask);
   ignore.sa_handler = SIG_IGN;
   sigemptyset(&ignore.sa_mask);
-  sigaction(SIGINT, &stop, NULL);
-  sigaction(SIGUSR1, &stop, NULL);
-  sigaction(SIGTERM, &stop, NULL);
+  sigaction(SIGHUP, NULL, &before);
+  for (int at = 0; at < request_count; at++)
+    if (requests[at] != SIGHUP || before.sa_handler != SIG_IGN)
+      sigaction(requests[at], &stop, NULL);
   sigaction(SIGXFSZ, &ignore, NULL);
   sigaction(SIGPIPE, &ignore, NULL);
 }
 
-/* The first signal received: 0 none, 1 SIGINT, 2 SIGUSR1, 3 SIGTERM. */
+/* Place in the list of the first signal received, from 1; 0: none. */
 int signals_received(void)
 {
-  switch (received) {
-  case 0: return 0;
-  case SIGINT: return 1;
-  case SIGUSR1: return 2;
-  default: return 3;
-  }
+  for (int at = 0; at < request_count; at++)
+    if (received == requests[at]) return at + 1;
+  return 0;
 }
 
 void signals_forget(void) { received = 0; }

@@ -1,8 +1,10 @@
-!> Requests to stop the program: the signals SIGTERM, SIGINT and SIGUSR1, and a time limit.
+!> Requests to stop the program: the signals of `names`, and a time limit. SIGHUP is one of them
+!> unless it was ignored when the program started (`nohup`).
 !>
 !> The first signal only sets a flag, which all long operations check; a later one ends the program
 !> at once. Signals within half a second after the first are ignored: `timeout` and some batch
-!> systems send each signal to the process and to its group.
+!> systems send each signal to the process and to its group. SIGHUP and SIGXCPU, which systems
+!> repeat, never end it.
 module battery_signals
   use battery_c_shapes, only: action, returns_number
   use battery_kinds, only: dp
@@ -13,8 +15,9 @@ module battery_signals
   public :: watch_signals, stop_requested, request_stop_after, clear_stop_request, set_stop_error, &
     signals_watch
 
-  !> Names of the signals, as C numbers them.
-  character(len=*), parameter :: names(3) = ['SIGINT ', 'SIGUSR1', 'SIGTERM']
+  !> Names of the signals, in the order of the list in signals.c.
+  character(len=*), parameter :: names(6) = ['SIGINT ', 'SIGUSR1', 'SIGTERM', 'SIGUSR2', &
+    'SIGXCPU', 'SIGHUP ']
 
   !> Time of the call of `watch_signals`, and time limit, on the clock of `wall_seconds`.
   real(dp) :: began = 0.0_dp, deadline = huge(1.0_dp)
@@ -26,7 +29,7 @@ module battery_signals
 
 contains
 
-  !> Sets the handlers: from now on the three signals request a stop instead of ending the program,
+  !> Sets the handlers: from now on the signals request a stop instead of ending the program,
   !> and a file beyond its size limit, or a closed pipe, is an error of the write instead of a
   !> signal. Time limits count from this call.
   subroutine watch_signals()

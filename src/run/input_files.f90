@@ -9,12 +9,13 @@ module battery_input_files
   use battery_paths, only: is_folder, is_pipe_or_device, same_file, folder_of, real_folder_of, &
     follow_links
   use battery_settings, only: settings_type
-  use battery_namelist_input, only: fill_plan, set_input_error
+  use battery_foreign_bytes, only: is_results_file
+  use battery_namelist_input, only: check_bytes, fill_plan, set_input_error
   use battery_initial_state, only: parse_particles, are_inside
   use battery_plan, only: plan_type, point_type, refuse_value, point_of, point_text, table_of
   implicit none (type, external)
   private
-  public :: read_namelist
+  public :: read_namelist, part_of_output
 
   !> Bytes of the longest namelist; a longer file is taken for no namelist.
   integer(int64), parameter :: longest_namelist = 64000000_int64
@@ -34,6 +35,9 @@ contains
     type(settings_type) :: settings
 
     call read_input(file, longest_namelist, text, error)
+    ! Of a file that is too long the first bytes are there.
+    if (allocated(error) .and. is_results_file(text)) deallocate (error)
+    if (.not. allocated(error)) call check_bytes(text, file, error)
     if (allocated(error)) then
       if (error%code == exit_failure) error%code = exit_bad_input
       return
@@ -72,33 +76,37 @@ contains
     else if (is_folder(plan%file//'.part')) then
       reason = 'there is a folder '//plan%file//'.part'
     end if
-    if (reason == '') reason = output_spoils_input(plan%file, plan%input_file)
-    if (reason == '' .and. plan%initial_file /= '') &
-      reason = output_spoils_input(plan%file, plan%initial_file)
+    if (reason == '') then
+      reason = part_of_output(plan%file, plan%input_file)
+      if (reason == '' .and. plan%initial_file /= '') &
+        reason = part_of_output(plan%file, plan%initial_file)
+      if (reason /= '') reason = 'an input file is '//reason
+    end if
     if (reason /= '') call refuse_value(plan, 'file', ''''//plan%file//''': '//reason, &
       'a file in a folder that exists and can be written to')
   end subroutine check_files
 
-  !> Why writing the output would destroy an input file, by whatever names and links; empty: it
-  !> would not.
-  function output_spoils_input(file, input) result(reason)
-    character(len=*), intent(in) :: file, input
-    character(len=:), allocatable :: reason
+  !> What a path is to the output, by whatever names and links; empty: nothing. Such an input file
+  !> would be destroyed by the results; such a file of an option would destroy them.
+  function part_of_output(file, path) result(part)
+    !> Path of the results file, and of the other file, which need not exist.
+    character(len=*), intent(in) :: file, path
+    character(len=:), allocatable :: part
 
-    reason = ''
-    if (file == input .or. same_file(file, input)) then
-      reason = 'this is an input file'
-    else if (same_file(file//'.part', input)) then
-      reason = file//'.part, under which it is written first, is an input file'
-    else if (same_file(file//'.owner', input)) then
-      reason = file//'.owner, which says who writes it, is an input file'
-    else if (same_file(file//'.tasks', real_folder_of(input)) .or. &
-      same_file(file//'.tasks', folder_of(input))) then
-      reason = 'the folder '//file//'.tasks, which is removed in the end, has an input file in it'
-    else if (same_file(file//'.tasks', input)) then
-      reason = file//'.tasks, a folder for what is unfinished, is an input file'
+    part = ''
+    if (file == path .or. same_file(file, path)) then
+      part = 'the results file'
+    else if (same_file(file//'.part', path)) then
+      part = file//'.part, under which the results are written first'
+    else if (same_file(file//'.owner', path)) then
+      part = file//'.owner, which says who writes the results'
+    else if (same_file(file//'.tasks', path)) then
+      part = file//'.tasks, the folder for what is unfinished'
+    else if (same_file(file//'.tasks', real_folder_of(path)) .or. &
+      same_file(file//'.tasks', folder_of(path))) then
+      part = 'in the folder '//file//'.tasks, which is removed in the end'
     end if
-  end function output_spoils_input
+  end function part_of_output
 
   !> Reads the initial file, once, and counts its particles in urn 1. All particles must be inside
   !> the table of every point; problems are added to those of the namelist.

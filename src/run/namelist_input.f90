@@ -5,6 +5,7 @@ module battery_namelist_input
   use battery_error, only: error_type, fatal_error, exit_bad_input
   use battery_text, only: to_text, new_line_character
   use battery_table, only: channel1, channel2
+  use battery_foreign_bytes, only: namelist_problem, is_results_file
   use battery_line_problems, only: add_line_problem, line_problems_text, displayable_text
   use battery_settings, only: settings_type, read_settings, find_setting, get_value, &
     get_list, get_text
@@ -15,7 +16,7 @@ module battery_namelist_input
   use battery_plan, only: plan_type, scanned_type, point_text, complete_plan, refuse_value
   implicit none (type, external)
   private
-  public :: parse_namelist, fill_plan, set_input_error, differing_keys
+  public :: parse_namelist, check_bytes, fill_plan, set_input_error, differing_keys
 
 contains
 
@@ -28,9 +29,27 @@ contains
     type(error_type), allocatable, intent(out) :: error
     type(settings_type) :: settings
 
+    call check_bytes(text, name, error)
+    if (allocated(error)) return
     call fill_plan(text, name, settings, plan)
     call set_input_error(plan, settings, error)
   end subroutine parse_namelist
+
+  !> Checks that a text may be a namelist: what is read into other bytes is not reported.
+  subroutine check_bytes(text, name, error)
+    !> Text of the whole file, and its name.
+    character(len=*), intent(in) :: text, name
+    !> One line, with the byte and its place; code `exit_bad_input`.
+    type(error_type), allocatable, intent(out) :: error
+    character(len=:), allocatable :: message
+
+    if (is_results_file(text)) then
+      message = name//' is a results file, not a namelist'
+    else
+      message = namelist_problem(text, name)
+    end if
+    if (message /= '') call fatal_error(error, message, exit_bad_input)
+  end subroutine check_bytes
 
   !> Parses a text, sets the components of a plan, and checks the plan. Problems of the text are
   !> stored in the settings, those of the values in the plan.
@@ -266,15 +285,17 @@ contains
   pure function place_text(plan, problem) result(text)
     type(plan_type), intent(in) :: plan
     type(problem_type), intent(in) :: problem
-    character(len=:), allocatable :: text
+    character(len=:), allocatable :: text, first, last
 
     text = ''
     if (problem%points == 0 .or. problem%points == plan%checked_points) return
     text = ' ('//to_text(problem%points)//' of '//to_text(plan%checked_points)//' points'
-    if (problem%points > 1) text = text//', the first'
-    text = text//': '//point_text(plan, problem%first_point, problem%key)
-    if (problem%points > 1) text = text//', the last: ' &
-      //point_text(plan, problem%last_point, problem%key)
+    first = point_text(plan, problem%first_point, problem%key)
+    last = point_text(plan, problem%last_point, problem%key)
+    ! Where only the key itself is scanned, its value has been told.
+    if (first /= '' .and. problem%points == 1) text = text//': '//first
+    if (first /= '' .and. problem%points > 1) text = text//', the first: '//first &
+      //', the last: '//last
     text = text//')'
   end function place_text
 

@@ -5,7 +5,7 @@ module battery_plan_remarks
   use battery_kinds, only: wp
   use battery_plan, only: plan_type, point_type, point_of, point_text
   use battery_table, only: channel2
-  use battery_text, only: string_type, to_text
+  use battery_text, only: string_type, to_text, join
   implicit none (type, external)
   private
   public :: remarks_of
@@ -24,7 +24,7 @@ contains
     logical :: never(2)
     !> Number of points that satisfy each condition, and the first of them.
     integer :: points(shut), first(shut)
-    type(string_type) :: on_currents
+    type(string_type) :: on_currents, radii(2)
     integer :: at
 
     points = 0
@@ -45,6 +45,12 @@ contains
     call add(not_gate_2, 'gate 2 never reverses, for its T is not below N')
     if (points(shut) > 0) call add(shut, 'disc '//to_text(shutting_disc(plan, point_of(plan, &
       first(shut))))//' of scatterers reaches from wall to wall: no particle passes channel 2')
+    ! A decimal comma separates two numbers.
+    radii = [string_type(to_text(plan%base%urn_radius(1))), &
+      string_type(to_text(plan%base%urn_radius(2)))]
+    if (plan%shape /= 'urn' .and. radii(1)%text /= radii(2)%text) remarks = [remarks, &
+      string_type('urn_radius = '//join(radii, ', ')//' are two radii: '//radii(1)%text &
+      //' of urn 1, '//radii(2)%text//' of urn 2')]
     on_currents%text = current_remark(plan)
     if (on_currents%text /= '') remarks = [remarks, on_currents]
 
