@@ -19,7 +19,7 @@ module battery_polygon
   use battery_urn_shape, only: urn_shape_type, set_openings
   use battery_motion, only: meets_gate, meets_channel2, meets_nothing, meets_wall, wall_kind
   use battery_corners, only: enclosed_area, reversed_corners, next_corner, distance_to_side, &
-    side_distance, side_on_axis
+    is_on_side, side_distance, side_on_axis
   implicit none (type, external)
   private
   public :: polygon_type, new_polygon, is_in_polygon, try_point_in_polygon, nearest_side
@@ -33,6 +33,10 @@ module battery_polygon
 
   !> Sides that lean by less than this, in units of the polygon, count as upright.
   real(wp), parameter, public :: upright = 2.0_wp**13*epsilon(1.0_wp)
+
+  !> A path along which a side rises by less than this, in units of the reach, runs along the side:
+  !> the time of the hit has half its digits or fewer.
+  real(wp), parameter :: parallel = sqrt(epsilon(1.0_wp))
 
   !> Geometry of a polygon with its openings. Side k goes from corner k to corner k + 1.
   type, extends(urn_shape_type) :: polygon_type
@@ -228,6 +232,11 @@ contains
 
     inside = .false.
     do k = 1, polygon%sides
+      if (is_on_side(x, y, [polygon%x(k), polygon%y(k)], [polygon%x(k + 1), polygon%y(k + 1)])) &
+        then
+        inside = .true.
+        return
+      end if
       if ((polygon%y(k) > y) .eqv. (polygon%y(k + 1) > y)) cycle
       if (x < polygon%x(k) + (polygon%x(k + 1) - polygon%x(k))*((y - polygon%y(k)) &
         /(polygon%y(k + 1) - polygon%y(k)))) inside = .not. inside
@@ -272,7 +281,9 @@ contains
   end function nearest_side
 
   !> Finds the side that a particle hits next, and the time `wait` until then. A particle on the
-  !> side `from` (0: on none) does not hit that side.
+  !> side `from` (0: on none) does not hit that side. Where a path runs along a side, rounding alone
+  !> says where it crosses it: then only that it does so between its corners is certain. A time
+  !> beyond them would put the side behind the particle, which then would hit nothing.
   pure subroutine find_next_side(polygon, from, x, y, ux, uy, side, wait)
     type(polygon_type), intent(in) :: polygon
     integer, intent(in) :: from
@@ -293,6 +304,8 @@ contains
       if (before >= 0.0_wp .or. after < 0.0_wp .or. k == from) cycle
       time = polygon%length_of(k)*((polygon%x(k) - x)*polygon%normal_x(k) &
         + (polygon%y(k) - y)*polygon%normal_y(k))/(after - before)
+      if (after - before < parallel*polygon%reach) time = min(max(time, min(ahead(k), ahead(k + &
+        1))), max(ahead(k), ahead(k + 1)))
       if (time >= wait) cycle
       if (time < -polygon%tolerance .and. .not. polygon%convex) then
         ! Skip a side behind the particle, unless only rounding has put it there.
@@ -303,6 +316,17 @@ contains
       wait = time
     end do
     wait = max(wait, 0.0_wp)
+
+  contains
+
+    !> Time until the path passes a corner; below 0: since it did.
+    pure function ahead(corner)
+      integer, intent(in) :: corner
+      real(wp) :: ahead
+
+      ahead = ux*(polygon%x(corner) - x) + uy*(polygon%y(corner) - y)
+    end function ahead
+
   end subroutine find_next_side
 
   !> As `find_next_side`, but also for a particle that moves along a side, or that rounding has put
