@@ -17,7 +17,7 @@ module battery_polygon_passages
   use battery_visits, only: visits_type, group_size, no_channel, truncated, many_hits
   implicit none (type, external)
   private
-  public :: compute_polygon_passages
+  public :: compute_polygon_passages, follow_polygon_passage
 
   !> Hits between two compactions, and rounds after which a visit is finished alone.
   integer, parameter :: march_hits = 4, most_marches = 2500
@@ -49,8 +49,8 @@ contains
       n = group_size*((active + group_size - 1)/group_size)
       ! Padding lanes of the last group: visits that have ended.
       visits%c(active + 1:n) = 0.0_wp
-      call step_hits(polygon, n, visits%px, visits%py, visits%zx, visits%zy, visits%steps, &
-        visits%first, visits%c)
+      call step_hits(polygon, march_hits, n, visits%px, visits%py, visits%zx, visits%zy, &
+        visits%steps, visits%first, visits%c)
       call compact_active(polygon, active, visits)
     end do
     do j = 1, active
@@ -81,10 +81,10 @@ contains
     end do
   end subroutine load_visits
 
-  !> Moves each particle that has not left through `march_hits` hits.
-  pure subroutine step_hits(polygon, n, px, py, ux, uy, hits, length, flies)
+  !> Moves each particle that has not left through `march` hits.
+  pure subroutine step_hits(polygon, march, n, px, py, ux, uy, hits, length, flies)
     type(polygon_type), intent(in) :: polygon
-    integer, intent(in) :: n
+    integer, intent(in) :: march, n
     real(wp), intent(inout) :: px(n), py(n), ux(n), uy(n), hits(n), length(n)
     !> 1 until the visit ends, then 0.
     real(wp), intent(inout) :: flies(n)
@@ -98,7 +98,7 @@ contains
     do first = 1, n, lanes
       last = min(first + lanes - 1, n)
       count = last - first + 1
-      do hit = 1, march_hits
+      do hit = 1, march
         if (polygon%convex) then
           call find_only_side(size(side, 2), corner, side, half_openings(channel1), &
             half_openings(channel2), count, px(first), py(first), ux(first), uy(first), normal_x, &
@@ -342,53 +342,142 @@ contains
     visits%many_hits_index(visits%many_hits_count) = which
   end subroutine list_visit_with_many_hits
 
-  !> Continues a visit of very many hits from side to side until it ends, its boundary state recurs,
-  !> or a part of it is complete. The states after 1, 2, 4, ... hits are stored; each is compared
-  !> with those that follow it until the next one is stored.
+  !> Continues a visit of very many hits alone, until it ends, its boundary state recurs, or a part
+  !> of it is complete.
   pure subroutine finish_single_visit(polygon, visits, j)
     type(polygon_type), intent(in) :: polygon
     type(visits_type), intent(inout) :: visits
     integer, intent(in) :: j
-    type(boundary_state_type) :: state, kept
+    type(boundary_state_type) :: state
+    integer(int64) :: ending
+
+    call continue_alone(polygon, huge(1.0_wp), visits%px(j), visits%py(j), visits%zx(j), &
+      visits%zy(j), visits%first(j), visits%steps(j), state, ending)
+    if (ending == channel1) then
+      call store_exit(polygon, visits, j)
+    else
+      call store_truncated(visits, j, state, ending)
+    end if
+  end subroutine finish_single_visit
+
+  !> Moves a particle from side to side until it reaches an opening, its boundary state recurs, or a
+  !> part is complete; at most until its path is `longest` long. The states after 1, 2, 4, ... hits
+  !> are stored; each is compared with those that follow it until the next one is stored.
+  pure subroutine continue_alone(polygon, longest, x, y, ux, uy, length, steps, state, ending)
+    type(polygon_type), intent(in) :: polygon
+    real(wp), intent(in) :: longest
+    real(wp), intent(inout) :: x, y, ux, uy
+    !> Length of the path and number of hits, those before included.
+    real(wp), intent(inout) :: length, steps
+    !> State after the last hit.
+    type(boundary_state_type), intent(out) :: state
+    !> `channel1` if the particle reaches any opening, `no_channel` if the state recurs, else
+    !> `truncated`.
+    integer(int64), intent(out) :: ending
+    type(boundary_state_type) :: kept
     real(wp) :: wait
     integer :: hits, keep, side
     logical :: same
 
-    associate (x => visits%px(j), y => visits%py(j), ux => visits%zx(j), uy => visits%zy(j), &
-      length => visits%first(j))
-      side = 0
-      keep = 1
-      same = .false.
-      do hits = 1, most_part_hits
-        call find_next_side_robustly(polygon, (side), x, y, ux, uy, side, wait)
-        ! No side is found: treated as an orbit that recurs.
-        same = side == 0
-        if (same) then
-          state = state_on_side(polygon, nearest_side(polygon, x, y), x, y, ux, uy)
-          exit
-        end if
-        x = x + ux*wait
-        y = y + uy*wait
-        length = length + wait
-        if (abs(y) < polygon%half_opening(side)) then
-          call store_exit(polygon, visits, j)
-          return
-        end if
-        call reflect_from_side(polygon, side, x, y, ux, uy)
-        visits%steps(j) = visits%steps(j) + 1.0_wp
-        state = state_on_side(polygon, side, x, y, ux, uy)
-        if (hits > 1) same = has_returned(polygon, state, kept)
-        if (same) exit
-        if (hits >= longest_period .and. length >= least_part*polygon%reach) exit
-        if (hits == keep) then
-          kept = state
-          keep = 2*keep
-        end if
+    side = 0
+    keep = 1
+    same = .false.
+    ending = truncated
+    do hits = 1, most_part_hits
+      call find_next_side_robustly(polygon, (side), x, y, ux, uy, side, wait)
+      ! No side is found: treated as an orbit that recurs.
+      same = side == 0
+      if (same) then
+        state = state_on_side(polygon, nearest_side(polygon, x, y), x, y, ux, uy)
+        exit
+      end if
+      if (length + wait > longest) then
+        x = x + ux*(longest - length)
+        y = y + uy*(longest - length)
+        return
+      end if
+      x = x + ux*wait
+      y = y + uy*wait
+      length = length + wait
+      if (abs(y) < polygon%half_opening(side)) then
+        ending = channel1
+        return
+      end if
+      call reflect_from_side(polygon, side, x, y, ux, uy)
+      steps = steps + 1.0_wp
+      state = state_on_side(polygon, side, x, y, ux, uy)
+      if (hits > 1) same = has_returned(polygon, state, kept)
+      if (same) exit
+      if (hits >= longest_period .and. length >= least_part*polygon%reach) exit
+      if (hits == keep) then
+        kept = state
+        keep = 2*keep
+      end if
+    end do
+    if (same .or. hits > most_part_hits) ending = no_channel
+  end subroutine continue_alone
+
+  !> Position of a particle at the time `elapsed` after the start of its passage, on the path that
+  !> `compute_polygon_passages` takes. Rounding decides on which side a path passes a corner that it
+  !> hits exactly: so this computes the same hits, by the same operations in the same number of
+  !> lanes, all with this particle.
+  subroutine follow_polygon_passage(polygon, x, y, ux, uy, elapsed, position, velocity, hits)
+    type(polygon_type), intent(in) :: polygon
+    !> Start of the passage, and the time since then.
+    real(wp), intent(in) :: x, y, ux, uy, elapsed
+    !> x and y of each: lengths, and a vector of length 1; those at the end, if that is sooner.
+    real(wp), intent(out) :: position(2), velocity(2)
+    !> Wall hits since the start.
+    integer(int64), intent(out) :: hits
+    !> x, y, u_x, u_y, hits, length, and whether it flies, of each lane: now, and before the latest
+    !> hits.
+    real(wp) :: now(group_size, 7), before(group_size, 7), earlier(group_size, 7)
+    type(boundary_state_type) :: state
+    integer(int64) :: ending
+    integer :: round, hit, slot(group_size)
+
+    now(:, 1) = x
+    now(:, 2) = y
+    now(:, 3) = ux
+    now(:, 4) = uy
+    call load_visits(group_size, now(:, 1), now(:, 2), now(:, 3), now(:, 4), before(:, 1), &
+      before(:, 2), before(:, 3), before(:, 4), before(:, 5), before(:, 6), before(:, 7), slot)
+    now = before
+    do round = 1, most_marches
+      before = now
+      call step(now, march_hits)
+      if (now(1, 6) > elapsed .or. .not. now(1, 7) > 0.0_wp) exit
+    end do
+    if (now(1, 6) > elapsed) then
+      do hit = 1, march_hits
+        earlier = before
+        if (hit > 1) call step(earlier, hit - 1)
+        now = before
+        call step(now, hit)
+        if (now(1, 6) > elapsed) exit
       end do
-      call store_truncated(visits, j, state, merge(no_channel, truncated, same .or. hits &
-        > most_part_hits))
-    end associate
-  end subroutine finish_single_visit
+      now = earlier
+      now(:, 1:2) = now(:, 1:2) + now(:, 3:4)*(elapsed - now(1, 6))
+    else if (now(1, 7) > 0.0_wp) then
+      call continue_alone(polygon, elapsed, now(1, 1), now(1, 2), now(1, 3), now(1, 4), now(1, 6), &
+        now(1, 5), state, ending)
+    end if
+    position = now(1, 1:2)
+    velocity = now(1, 3:4)
+    hits = int(now(1, 5), int64)
+
+  contains
+
+    !> Moves the lanes through `march` hits.
+    subroutine step(lane, march)
+      real(wp), intent(inout) :: lane(group_size, 7)
+      integer, intent(in) :: march
+
+      call step_hits(polygon, march, group_size, lane(:, 1), lane(:, 2), lane(:, 3), lane(:, 4), &
+        lane(:, 5), lane(:, 6), lane(:, 7))
+    end subroutine step
+
+  end subroutine follow_polygon_passage
 
   !> Stores a visit that has not ended: truncated, or one that never ends.
   pure subroutine store_truncated(visits, j, state, channel)

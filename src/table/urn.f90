@@ -14,13 +14,13 @@ module battery_urn
   use battery_polygon, only: polygon_type, new_polygon, is_in_polygon, try_point_in_polygon, &
     locate_in_polygon, find_first_impact_in_polygon, find_next_wall_in_polygon, &
     reflect_in_polygon, reflect_overshoot_in_polygon
-  use battery_polygon_passages, only: compute_polygon_passages
+  use battery_polygon_passages, only: compute_polygon_passages, follow_polygon_passage
   use battery_visits, only: visits_type
   implicit none (type, external)
   private
   public :: urn_type, shape_disc, shape_polygon, derive_shape, are_mirror_images, contains_point, &
     try_random_point, compute_passages, locate_in_passage, find_first_impact, locate_after, &
-    find_next_wall, reflect_at_wall, reflect_overshoot
+    follow_passage, find_next_wall, reflect_at_wall, reflect_overshoot
 
   !> The shapes.
   integer, parameter :: shape_disc = 1, shape_polygon = 2
@@ -159,7 +159,7 @@ contains
 
   !> Position of a particle at the time `elapsed` after a given state in the urn, which it has not
   !> left since.
-  pure subroutine locate_after(urn, x, y, ux, uy, elapsed, position, velocity, hits)
+  pure subroutine locate_after(urn, x, y, ux, uy, elapsed, position, velocity, hits, meets_corner)
     type(urn_type), intent(in) :: urn
     !> The given state in the frame of the urn: lengths, and a vector of length 1.
     real(wp), intent(in) :: x, y, ux, uy
@@ -169,19 +169,43 @@ contains
     real(wp), intent(out) :: position(2), velocity(2)
     !> Wall hits since then.
     integer(int64), intent(out) :: hits
+    !> As in `locate_in_passage`.
+    logical, intent(out), optional :: meets_corner
     real(wp) :: at, u_axial, u_lateral, wait
     integer(int64) :: before
 
     call find_first_impact(urn, x, y, ux, uy, at, u_axial, u_lateral, wait, before)
     call locate_in_passage(urn, no_channel, at, u_axial, u_lateral, elapsed - wait, position, &
-      velocity, hits)
+      velocity, hits, meets_corner)
     hits = hits + before
   end subroutine locate_after
+
+  !> As `locate_after`, from the start of a passage, on the path that `compute_passages` takes: by
+  !> the same operations, so that it passes each corner on the same side. After the end of the
+  !> passage the particle stays there, and `hits` is the number of hits of the whole passage.
+  subroutine follow_passage(urn, x, y, ux, uy, elapsed, position, velocity, hits)
+    type(urn_type), intent(in) :: urn
+    !> Start of the passage in the frame of the urn: lengths, and a vector of length 1.
+    real(wp), intent(in) :: x, y, ux, uy
+    !> Time since then.
+    real(wp), intent(in) :: elapsed
+    !> x and y of each.
+    real(wp), intent(out) :: position(2), velocity(2)
+    !> Wall hits since then.
+    integer(int64), intent(out) :: hits
+
+    select case (urn%shape)
+    case (shape_polygon)
+      call follow_polygon_passage(urn%polygon, x, y, ux, uy, elapsed, position, velocity, hits)
+    case default
+      call locate_after(urn, x, y, ux, uy, elapsed, position, velocity, hits)
+    end select
+  end subroutine follow_passage
 
   !> Position of a particle in the urn at a time relative to an impact, or to the end of its
   !> passage.
   pure subroutine locate_in_passage(urn, channel, y, u_axial, u_lateral, since, position, &
-    velocity, hits)
+    velocity, hits, meets_corner)
     type(urn_type), intent(in) :: urn
     !> Channel to which the passage leads; `no_channel` or `truncated`.
     integer, intent(in) :: channel
@@ -194,14 +218,19 @@ contains
     real(wp), intent(out) :: position(2), velocity(2)
     !> Wall hits since then; below 0: minus the number of hits until then.
     integer(int64), intent(out) :: hits
+    !> Whether the path in between meets a corner, so that it may not be the one that was taken.
+    logical, intent(out), optional :: meets_corner
+    logical :: doubtful
 
+    doubtful = .false.
     select case (urn%shape)
     case (shape_polygon)
       call locate_in_polygon(urn%polygon, channel, y, u_axial, u_lateral, since, position, &
-        velocity, hits)
+        velocity, hits, doubtful)
     case default
       call locate_in_disc(urn%disc, channel, y, u_axial, u_lateral, since, position, velocity, hits)
     end select
+    if (present(meets_corner)) meets_corner = doubtful
   end subroutine locate_in_passage
 
   !> Finds the wall or opening `next` that a particle in the urn, or at an opening, reaches first,

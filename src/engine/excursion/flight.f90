@@ -218,7 +218,7 @@ contains
   !> Position and velocity at the time `now` of a particle that is not trapped, in the frame of its
   !> urn, traced backwards from the end of its visit; and the `hits` to be added to `computed_hits`
   !> for it (negative: hits that are computed but still to come).
-  pure subroutine locate_particle(urn, flight, now, position, velocity, hits)
+  pure subroutine locate_particle(urn, flight, now, position, velocity, hits, meets_corner)
     type(urn_type), intent(in) :: urn
     type(flight_type), intent(in) :: flight
     !> On the clock of the flight.
@@ -227,9 +227,12 @@ contains
     real(wp), intent(out) :: position(2), velocity(2)
     !> A whole number of either sign.
     integer(int64), intent(out) :: hits
+    !> Whether the way back meets a corner, so that it may not be the way that was taken.
+    logical, intent(out) :: meets_corner
     real(wp) :: elapsed, reflected, passed
     integer :: channel
 
+    meets_corner = .false.
     elapsed = now - flight%time
     channel = merge(channel2, channel1, flight%next_event == to_periodic_line)
     if (flight%next_event == partial_visit) channel = no_channel
@@ -242,7 +245,7 @@ contains
     else
       elapsed = -min(flight%time - now, flight%length)
       call locate_in_passage(urn, channel, flight%y, flight%u_axial, flight%u_lateral, elapsed, &
-        position, velocity, hits)
+        position, velocity, hits, meets_corner)
       call trace_back_into_channel(urn, flight%time - now - flight%length, position, velocity, hits)
     end if
   end subroutine locate_particle

@@ -11,6 +11,7 @@ module battery_precomputed_visits
   use battery_channel, only: channel1, channel2
   use battery_urn_shape, only: cross_channels
   use battery_flight, only: load_flights, never, partial_visit, to_gate
+  use battery_passage_starts, only: passage_starts_type, store_passage_starts, set_passage_start
   use battery_urn, only: urn_type, compute_passages
   use battery_visits, only: visits_type
   implicit none (type, external)
@@ -24,12 +25,14 @@ module battery_precomputed_visits
   !> Precomputing pays where a window has fewer events than this on average.
   real(wp), parameter :: most_events = 1.0_wp
 
-  !> A precomputed visit: its particle, and what `compute_passages` yields of it.
+  !> A precomputed visit: its particle, the start of its passage, and what `compute_passages` yields
+  !> of it.
   type :: precomputed_visit_type
     integer :: particle = 0
     integer(int64) :: channel = 0
     real(wp) :: time = 0.0_wp, length = 0.0_wp, y = 0.0_wp, u_axial = 0.0_wp, u_lateral = 0.0_wp, &
       through = 0.0_wp, hits = 0.0_wp
+    real(wp) :: start(4) = 0.0_wp
   end type precomputed_visit_type
 
   !> Precomputed visits: a new one takes the place of the oldest.
@@ -58,7 +61,7 @@ contains
   !> Copies the visits that begin from the precomputed ones, if all of them are there. Else computes
   !> them, together with the visits of the next events, which are stored.
   subroutine take_or_compute_visits(urn, number, flight, pending, pending_particle, visits, &
-    precomputed, computed_hits)
+    precomputed, passage_starts, computed_hits)
     type(urn_type), intent(in) :: urn
     !> Number of particles; number of pending events in order.
     integer, intent(in) :: number, pending
@@ -70,8 +73,11 @@ contains
     type(visits_type), intent(inout) :: visits
     !> Precomputed visits.
     type(precomputed_visits_type), intent(inout) :: precomputed
+    !> Updated with the starts of the passages of the visits.
+    type(passage_starts_type), intent(inout) :: passage_starts
     !> Increased by the wall hits of the visits.
     integer(int64), intent(inout) :: computed_hits
+    real(wp) :: start(4, most_precomputed_visits)
     integer :: started, j, k
     logical :: all_computed
 
@@ -93,6 +99,8 @@ contains
           visits%through(j) = known%through
           visits%hits(j) = known%hits
           computed_hits = computed_hits + int(known%hits, int64)
+          if (urn%truncates_passages) call set_passage_start(passage_starts, &
+            visits%particle(j), known%start, known%time)
         end associate
       end do
     else
@@ -110,13 +118,17 @@ contains
       call load_flights(number, flight, visits%count, visits%particle, visits%reversal_time, &
         visits%passage, visits%time, visits%y, visits%u_axial, visits%u_lateral)
       call cross_channels(urn, visits)
+      if (urn%truncates_passages) call store_passage_starts(passage_starts, visits, started)
+      do j = started + 1, visits%count
+        start(:, j - started) = [visits%x(j), visits%y(j), visits%u_axial(j), visits%u_lateral(j)]
+      end do
       call compute_passages(urn, visits)
       computed_hits = computed_hits + visits%all_hits
       do j = started + 1, visits%count
         precomputed%last = modulo(precomputed%last, slots) + 1
         precomputed%visit(precomputed%last) = precomputed_visit_type(visits%particle(j), &
           visits%channel(j), visits%time(j), visits%length(j), visits%y(j), visits%u_axial(j), &
-          visits%u_lateral(j), visits%through(j), visits%hits(j))
+          visits%u_lateral(j), visits%through(j), visits%hits(j), start(:, j - started))
         flight(visits%particle(j))%precomputed_slot = int(precomputed%last, int32)
         computed_hits = computed_hits - int(visits%hits(j), int64)
       end do
