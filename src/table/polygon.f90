@@ -26,7 +26,7 @@ module battery_polygon
   public :: find_next_wall_in_polygon, reflect_in_polygon, reflect_overshoot_in_polygon, &
     locate_in_polygon, find_first_impact_in_polygon
   public :: find_next_side_robustly, reflect_from_side, boundary_state_type, state_on_side, &
-    has_returned
+    has_returned, continue_flight
 
   !> Bound on the rounding error of a position on a side, in units of the table.
   real(wp), parameter :: rounding = 64.0_wp*epsilon(1.0_wp)
@@ -37,10 +37,6 @@ module battery_polygon
   !> A path that passes a corner, or the end of an opening, within this distance, in units of the
   !> reach, meets it: rounding errors of earlier hits may have decided on which side it passes.
   real(wp), parameter :: near = sqrt(epsilon(1.0_wp))
-
-  !> A path along which a side rises by less than this, in units of the reach, runs along the side:
-  !> the time of the hit has half its digits or fewer.
-  real(wp), parameter :: parallel = sqrt(epsilon(1.0_wp))
 
   !> Geometry of a polygon with its openings. Side k goes from corner k to corner k + 1.
   type, extends(urn_shape_type) :: polygon_type
@@ -296,20 +292,20 @@ contains
     !> 0 if no side is found, which only rounding can cause.
     integer, intent(out) :: side
     real(wp), intent(out) :: wait
-    real(wp) :: before, after, time
+    real(wp) :: before, after, time, least
     integer :: k
 
     side = 0
     wait = huge(1.0_wp)
+    least = huge(1.0_wp)
     after = ux*(polygon%y(1) - y) - uy*(polygon%x(1) - x)
     do k = 1, polygon%sides
       before = after
       after = ux*(polygon%y(k + 1) - y) - uy*(polygon%x(k + 1) - x)
       if (before >= 0.0_wp .or. after < 0.0_wp .or. k == from) cycle
+      least = min(least, after - before)
       time = polygon%length_of(k)*((polygon%x(k) - x)*polygon%normal_x(k) &
         + (polygon%y(k) - y)*polygon%normal_y(k))/(after - before)
-      if (after - before < parallel*polygon%reach) time = min(max(time, min(ahead(k), ahead(k + &
-        1))), max(ahead(k), ahead(k + 1)))
       if (time >= wait) cycle
       if (time < -polygon%tolerance .and. .not. polygon%convex) then
         ! Skip a side behind the particle, unless only rounding has put it there.
@@ -320,18 +316,43 @@ contains
       wait = time
     end do
     wait = max(wait, 0.0_wp)
-
-  contains
-
-    !> Time until the path passes a corner; below 0: since it did.
-    pure function ahead(corner)
-      integer, intent(in) :: corner
-      real(wp) :: ahead
-
-      ahead = ux*(polygon%x(corner) - x) + uy*(polygon%y(corner) - y)
-    end function ahead
-
+    if (least < polygon%tolerance) call find_next_side_alongside(polygon, from, x, y, ux, uy, side, &
+      wait)
   end subroutine find_next_side
+
+  !> As `find_next_side`, for a path along which a side rises by no more than rounding errors.
+  pure subroutine find_next_side_alongside(polygon, from, x, y, ux, uy, side, wait)
+    type(polygon_type), intent(in) :: polygon
+    integer, intent(in) :: from
+    real(wp), intent(in) :: x, y, ux, uy
+    integer, intent(out) :: side
+    real(wp), intent(out) :: wait
+    real(wp) :: before, after, time, passes, passed
+    integer :: k
+
+    side = 0
+    wait = huge(1.0_wp)
+    after = ux*(polygon%y(1) - y) - uy*(polygon%x(1) - x)
+    passes = ux*(polygon%x(1) - x) + uy*(polygon%y(1) - y)
+    do k = 1, polygon%sides
+      before = after
+      passed = passes
+      after = ux*(polygon%y(k + 1) - y) - uy*(polygon%x(k + 1) - x)
+      passes = ux*(polygon%x(k + 1) - x) + uy*(polygon%y(k + 1) - y)
+      if (before >= 0.0_wp .or. after < 0.0_wp .or. k == from) cycle
+      time = polygon%length_of(k)*((polygon%x(k) - x)*polygon%normal_x(k) &
+        + (polygon%y(k) - y)*polygon%normal_y(k))/(after - before)
+      time = min(max(time, min(passed, passes)), max(passed, passes))
+      if (time >= wait) cycle
+      if (time < -polygon%tolerance) then
+        if (distance_to_side(x, y, [polygon%x(k), polygon%y(k)], [polygon%x(k + 1), &
+          polygon%y(k + 1)]) > polygon%tolerance) cycle
+      end if
+      side = k
+      wait = time
+    end do
+    wait = max(wait, 0.0_wp)
+  end subroutine find_next_side_alongside
 
   !> As `find_next_side`, but also for a particle that moves along a side, or that rounding has put
   !> beyond one: then the path starts slightly farther inside. From the side `from` (0: none), at

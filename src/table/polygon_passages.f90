@@ -13,7 +13,8 @@ module battery_polygon_passages
   use battery_channel, only: channel1, channel2
   use battery_motion, only: slowest
   use battery_polygon, only: polygon_type, nearest_side, boundary_state_type, state_on_side, &
-    has_returned, find_next_side_robustly, reflect_from_side, longest_period
+    has_returned, find_next_side_robustly, reflect_from_side, longest_period, &
+    continue_flight
   use battery_visits, only: visits_type, group_size, no_channel, truncated, many_hits
   implicit none (type, external)
   private
@@ -49,8 +50,8 @@ contains
       n = group_size*((active + group_size - 1)/group_size)
       ! Padding lanes of the last group: visits that have ended.
       visits%c(active + 1:n) = 0.0_wp
-      call step_hits(polygon, march_hits, n, visits%px, visits%py, visits%zx, visits%zy, &
-        visits%steps, visits%first, visits%c)
+      call step_hits(polygon, n, visits%px, visits%py, visits%zx, visits%zy, visits%steps, &
+        visits%first, visits%c)
       call compact_active(polygon, active, visits)
     end do
     do j = 1, active
@@ -81,10 +82,10 @@ contains
     end do
   end subroutine load_visits
 
-  !> Moves each particle that has not left through `march` hits.
-  pure subroutine step_hits(polygon, march, n, px, py, ux, uy, hits, length, flies)
+  !> Moves each particle that has not left through `march_hits` hits.
+  pure subroutine step_hits(polygon, n, px, py, ux, uy, hits, length, flies)
     type(polygon_type), intent(in) :: polygon
-    integer, intent(in) :: march, n
+    integer, intent(in) :: n
     real(wp), intent(inout) :: px(n), py(n), ux(n), uy(n), hits(n), length(n)
     !> 1 until the visit ends, then 0.
     real(wp), intent(inout) :: flies(n)
@@ -98,7 +99,7 @@ contains
     do first = 1, n, lanes
       last = min(first + lanes - 1, n)
       count = last - first + 1
-      do hit = 1, march
+      do hit = 1, march_hits
         if (polygon%convex) then
           call find_only_side(size(side, 2), corner, side, half_openings(channel1), &
             half_openings(channel2), count, px(first), py(first), ux(first), uy(first), normal_x, &
@@ -391,7 +392,7 @@ contains
         state = state_on_side(polygon, nearest_side(polygon, x, y), x, y, ux, uy)
         exit
       end if
-      if (length + wait > longest) then
+      if (length + wait >= longest) then
         x = x + ux*(longest - length)
         y = y + uy*(longest - length)
         return
@@ -419,8 +420,9 @@ contains
 
   !> Position of a particle at the time `elapsed` after the start of its passage, on the path that
   !> `compute_polygon_passages` takes. Rounding decides on which side a path passes a corner that it
-  !> hits exactly: so this computes the same hits, by the same operations in the same number of
-  !> lanes, all with this particle.
+  !> hits exactly: so this computes the same hits, by the same operations, with this particle in all
+  !> lanes. Between two states of that path, the place is computed from the one from which the way
+  !> meets no corner. At the time of a hit the particle has not been reflected.
   subroutine follow_polygon_passage(polygon, x, y, ux, uy, elapsed, position, velocity, hits)
     type(polygon_type), intent(in) :: polygon
     !> Start of the passage, and the time since then.
@@ -429,53 +431,57 @@ contains
     real(wp), intent(out) :: position(2), velocity(2)
     !> Wall hits since the start.
     integer(int64), intent(out) :: hits
-    !> x, y, u_x, u_y, hits, length, and whether it flies, of each lane: now, and before the latest
-    !> hits.
-    real(wp) :: now(group_size, 7), before(group_size, 7), earlier(group_size, 7)
+    !> x, y, u_x, u_y, hits, length, and whether it flies, of each lane.
+    real(wp) :: lane(group_size, 7), before(group_size, 7)
     type(boundary_state_type) :: state
     integer(int64) :: ending
-    integer :: round, hit, slot(group_size)
+    logical :: meets_corner
+    integer :: round, slot(group_size)
 
-    now(:, 1) = x
-    now(:, 2) = y
-    now(:, 3) = ux
-    now(:, 4) = uy
-    call load_visits(group_size, now(:, 1), now(:, 2), now(:, 3), now(:, 4), before(:, 1), &
-      before(:, 2), before(:, 3), before(:, 4), before(:, 5), before(:, 6), before(:, 7), slot)
-    now = before
+    before(:, 1:4) = spread([x, y, ux, uy], 1, group_size)
+    call load_visits(group_size, before(:, 1), before(:, 2), before(:, 3), before(:, 4), lane(:, 1), &
+      lane(:, 2), lane(:, 3), lane(:, 4), lane(:, 5), lane(:, 6), lane(:, 7), slot)
     do round = 1, most_marches
-      before = now
-      call step(now, march_hits)
-      if (now(1, 6) > elapsed .or. .not. now(1, 7) > 0.0_wp) exit
+      before = lane
+      call step_hits(polygon, group_size, lane(:, 1), lane(:, 2), lane(:, 3), lane(:, 4), &
+        lane(:, 5), lane(:, 6), lane(:, 7))
+      if (lane(1, 6) >= elapsed .or. .not. lane(1, 7) > 0.0_wp) exit
     end do
-    if (now(1, 6) > elapsed) then
-      do hit = 1, march_hits
-        earlier = before
-        if (hit > 1) call step(earlier, hit - 1)
-        now = before
-        call step(now, hit)
-        if (now(1, 6) > elapsed) exit
-      end do
-      now = earlier
-      now(:, 1:2) = now(:, 1:2) + now(:, 3:4)*(elapsed - now(1, 6))
-    else if (now(1, 7) > 0.0_wp) then
-      call continue_alone(polygon, elapsed, now(1, 1), now(1, 2), now(1, 3), now(1, 4), now(1, 6), &
-        now(1, 5), state, ending)
+    if (lane(1, 6) >= elapsed) then
+      call fly_between(before(1, :), elapsed, .false., position, velocity, hits, meets_corner)
+      if (meets_corner) call fly_between(lane(1, :), elapsed, .true., position, velocity, hits, &
+        meets_corner)
+      return
     end if
-    position = now(1, 1:2)
-    velocity = now(1, 3:4)
-    hits = int(now(1, 5), int64)
+    if (lane(1, 7) > 0.0_wp) call continue_alone(polygon, elapsed, lane(1, 1), lane(1, 2), &
+      lane(1, 3), lane(1, 4), lane(1, 6), lane(1, 5), state, ending)
+    position = lane(1, 1:2)
+    velocity = lane(1, 3:4)
+    hits = int(lane(1, 5), int64)
 
   contains
 
-    !> Moves the lanes through `march` hits.
-    subroutine step(lane, march)
-      real(wp), intent(inout) :: lane(group_size, 7)
-      integer, intent(in) :: march
+    !> Position at the time `elapsed`, from a state before it or, `back`, after it.
+    pure subroutine fly_between(from, elapsed, back, position, velocity, hits, meets_corner)
+      real(wp), intent(in) :: from(7), elapsed
+      logical, intent(in) :: back
+      real(wp), intent(out) :: position(2), velocity(2)
+      integer(int64), intent(out) :: hits
+      logical, intent(out) :: meets_corner
+      real(wp) :: way, rest
+      integer :: side
 
-      call step_hits(polygon, march, group_size, lane(:, 1), lane(:, 2), lane(:, 3), lane(:, 4), &
-        lane(:, 5), lane(:, 6), lane(:, 7))
-    end subroutine step
+      way = merge(-1.0_wp, 1.0_wp, back)
+      side = 0
+      position = from(1:2)
+      velocity = way*from(3:4)
+      rest = way*(elapsed - from(6))
+      meets_corner = .false.
+      call continue_flight(polygon, back, side, position(1), position(2), velocity(1), velocity(2), &
+        rest, hits, meets_corner)
+      velocity = way*velocity
+      hits = int(from(5), int64) + nint(way, int64)*hits
+    end subroutine fly_between
 
   end subroutine follow_polygon_passage
 

@@ -20,7 +20,7 @@ module battery_urn
   private
   public :: urn_type, shape_disc, shape_polygon, derive_shape, are_mirror_images, contains_point, &
     try_random_point, compute_passages, locate_in_passage, find_first_impact, locate_after, &
-    follow_passage, find_next_wall, reflect_at_wall, reflect_overshoot
+    follow_passage, meets_corner, find_next_wall, reflect_at_wall, reflect_overshoot
 
   !> The shapes.
   integer, parameter :: shape_disc = 1, shape_polygon = 2
@@ -159,7 +159,7 @@ contains
 
   !> Position of a particle at the time `elapsed` after a given state in the urn, which it has not
   !> left since.
-  pure subroutine locate_after(urn, x, y, ux, uy, elapsed, position, velocity, hits, meets_corner)
+  pure subroutine locate_after(urn, x, y, ux, uy, elapsed, position, velocity, hits)
     type(urn_type), intent(in) :: urn
     !> The given state in the frame of the urn: lengths, and a vector of length 1.
     real(wp), intent(in) :: x, y, ux, uy
@@ -169,14 +169,12 @@ contains
     real(wp), intent(out) :: position(2), velocity(2)
     !> Wall hits since then.
     integer(int64), intent(out) :: hits
-    !> As in `locate_in_passage`.
-    logical, intent(out), optional :: meets_corner
     real(wp) :: at, u_axial, u_lateral, wait
     integer(int64) :: before
 
     call find_first_impact(urn, x, y, ux, uy, at, u_axial, u_lateral, wait, before)
     call locate_in_passage(urn, no_channel, at, u_axial, u_lateral, elapsed - wait, position, &
-      velocity, hits, meets_corner)
+      velocity, hits)
     hits = hits + before
   end subroutine locate_after
 
@@ -205,7 +203,7 @@ contains
   !> Position of a particle in the urn at a time relative to an impact, or to the end of its
   !> passage.
   pure subroutine locate_in_passage(urn, channel, y, u_axial, u_lateral, since, position, &
-    velocity, hits, meets_corner)
+    velocity, hits)
     type(urn_type), intent(in) :: urn
     !> Channel to which the passage leads; `no_channel` or `truncated`.
     integer, intent(in) :: channel
@@ -218,20 +216,32 @@ contains
     real(wp), intent(out) :: position(2), velocity(2)
     !> Wall hits since then; below 0: minus the number of hits until then.
     integer(int64), intent(out) :: hits
-    !> Whether the path in between meets a corner, so that it may not be the one that was taken.
-    logical, intent(out), optional :: meets_corner
-    logical :: doubtful
+    logical :: passes_corner
 
-    doubtful = .false.
     select case (urn%shape)
     case (shape_polygon)
       call locate_in_polygon(urn%polygon, channel, y, u_axial, u_lateral, since, position, &
-        velocity, hits, doubtful)
+        velocity, hits, passes_corner)
     case default
       call locate_in_disc(urn%disc, channel, y, u_axial, u_lateral, since, position, velocity, hits)
     end select
-    if (present(meets_corner)) meets_corner = doubtful
   end subroutine locate_in_passage
+
+  !> Whether the path of `locate_in_passage`, with the same arguments, meets a corner of a polygon,
+  !> so that it may not be the one that was taken.
+  pure function meets_corner(urn, channel, y, u_axial, u_lateral, since)
+    type(urn_type), intent(in) :: urn
+    !> As in `locate_in_passage`.
+    integer, intent(in) :: channel
+    real(wp), intent(in) :: y, u_axial, u_lateral, since
+    logical :: meets_corner
+    real(wp) :: position(2), velocity(2)
+    integer(int64) :: hits
+
+    meets_corner = .false.
+    if (urn%shape == shape_polygon) call locate_in_polygon(urn%polygon, channel, y, u_axial, &
+      u_lateral, since, position, velocity, hits, meets_corner)
+  end function meets_corner
 
   !> Finds the wall or opening `next` that a particle in the urn, or at an opening, reaches first,
   !> and the time `wait` until then.

@@ -29,7 +29,7 @@ module battery_excursion
   use battery_urn_shape, only: cross_channels
   use battery_urn, only: compute_passages
   use battery_passage_starts, only: passage_starts_type, new_passage_starts, store_passage_starts, &
-    locate_on_passage, rebase_passage_starts, serialize_passage_starts
+    correct_by_passage, rebase_passage_starts, serialize_passage_starts
   use battery_visits, only: visits_type, reserve_visits, split_visits_by_urn, truncated
   use battery_scatterers, only: narrowest_gap, detect_periodic_path
   use battery_gate, only: enter_gate, number_inside, first_crossing_time
@@ -383,7 +383,7 @@ contains
     integer, intent(in) :: i
     real(wp), intent(out) :: state(4)
     integer(int64), intent(out) :: hits
-    logical :: meets_corner
+    logical :: from_start
 
     associate (flight => self%flight(i), urn => self%table%urn(self%flight(i)%urn))
       if (flight%next_event == trapped_in_channel) then
@@ -393,14 +393,15 @@ contains
         call locate_by_replay(self%table, self%scatterer_visits%visit_start(i), self%now, state, &
           hits)
       else
-        if (is_nearer_start(self%long_visits, flight, self%now)) then
-          call locate_from_start(self%long_visits, urn, i, self%now, state(:2), state(3:), hits, &
-            meets_corner)
+        from_start = is_nearer_start(self%long_visits, flight, self%now)
+        if (from_start) then
+          call locate_from_start(self%long_visits, urn, i, self%now, state(:2), state(3:), hits)
         else
-          call locate_particle(urn, flight, self%now, state(:2), state(3:), hits, meets_corner)
+          call locate_particle(urn, flight, self%now, state(:2), state(3:), hits)
         end if
-        if (meets_corner .and. .not. self%has_scatterers) call locate_on_passage( &
-          self%passage_starts, urn, flight, i, self%now, state(:2), state(3:), hits)
+        if (urn%truncates_passages .and. flight%next_event /= counted_in_gate .and. .not. &
+          self%has_scatterers) call correct_by_passage(self%passage_starts, urn, flight, i, &
+          self%now, from_start, state(:2), state(3:), hits)
         state(1) = urn%axis_sign*(state(1) - urn%centre)
         state(3) = urn%axis_sign*state(3)
       end if

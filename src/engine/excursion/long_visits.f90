@@ -206,8 +206,7 @@ contains
 
   !> Position and velocity of a particle at the time `now`, forwards from the start of its visit;
   !> `hits` as in `locate_particle`.
-  pure subroutine locate_from_start(visits, urn, particle, now, position, velocity, hits, &
-    meets_corner)
+  pure subroutine locate_from_start(visits, urn, particle, now, position, velocity, hits)
     !> The store.
     type(long_visits_type), intent(in) :: visits
     type(urn_type), intent(in) :: urn
@@ -219,17 +218,13 @@ contains
     real(wp), intent(out) :: position(2), velocity(2)
     !> A whole number of either sign.
     integer(int64), intent(out) :: hits
-    !> Whether the way meets a corner, so that it may not be the way that was taken.
-    logical, intent(out) :: meets_corner
     real(wp) :: passage, reflected, passed, begins, x, y, ux, uy
     integer :: from
 
-    meets_corner = .false.
     associate (visit_start => visits%visit_start(visits%place(particle)))
       if (visit_start%next_event == partial_visit) then
         call locate_in_passage(urn, no_channel, visit_start%y, visit_start%u_axial, &
-          visit_start%u_lateral, now - visit_start%time, position, velocity, hits, &
-          meets_corner)
+          visit_start%u_lateral, now - visit_start%time, position, velocity, hits)
       else
         from = merge(channel2, channel1, visit_start%next_event == to_periodic_line)
         passage = merge(2.0_wp*(visit_start%reversal_time - visit_start%time), &
@@ -246,8 +241,7 @@ contains
           hits = 0
           call trace_back_into_channel(urn, begins - now, position, velocity, hits)
         else
-          call locate_after(urn, x, y, ux, uy, now - begins, position, velocity, hits, &
-            meets_corner)
+          call locate_after(urn, x, y, ux, uy, now - begins, position, velocity, hits)
         end if
         hits = hits + int(passed, int64)
       end if

@@ -11,16 +11,19 @@ module battery_passage_starts
   use battery_archive, only: archive_type
   use battery_calendar, only: flight_type
   use battery_channel, only: no_channel
-  use battery_flight, only: trapped_in_urn, trace_back_into_channel
-  use battery_urn, only: urn_type, locate_in_passage, follow_passage
+  use battery_flight, only: trapped_in_urn, trace_back_into_channel, way_back_meets_corner
+  use battery_urn, only: urn_type, locate_in_passage, follow_passage, meets_corner
   use battery_visits, only: visits_type
   implicit none (type, external)
   private
   public :: passage_starts_type, new_passage_starts, store_passage_starts, set_passage_start, &
-    locate_on_passage, rebase_passage_starts, serialize_passage_starts
+    correct_by_passage, rebase_passage_starts, serialize_passage_starts
 
   !> x, y, u_x, u_y in the frame of the urn, and the time.
   integer, parameter :: words = 5
+
+  !> Places on one path, computed in two ways, differ by less than this, in units of the reach.
+  real(wp), parameter :: same_path = 1.0e-6_wp
 
   !> The start of the latest passage of each particle.
   type :: passage_starts_type
@@ -80,9 +83,10 @@ contains
     end do
   end subroutine store_starts
 
-  !> Position and velocity at the time `now` of a particle that is in an urn or on its way to it,
-  !> and the `hits` to be added to `computed_hits` for it, along the path of its passage.
-  subroutine locate_on_passage(starts, urn, flight, particle, now, position, velocity, hits)
+  !> Corrects position, velocity and `hits` of a particle at the time `now`, if they were computed
+  !> on another path than that of its passage.
+  subroutine correct_by_passage(starts, urn, flight, particle, now, from_start, position, velocity, &
+    hits)
     type(passage_starts_type), intent(in) :: starts
     type(urn_type), intent(in) :: urn
     type(flight_type), intent(in) :: flight
@@ -90,30 +94,40 @@ contains
     integer, intent(in) :: particle
     !> On the clock of the flight.
     real(wp), intent(in) :: now
-    !> In the frame of the urn, as computed from the end or the start of the visit; changed only
-    !> if they can be computed on the path of the passage.
+    !> Whether they were computed forwards from the start of a long visit, else back from its end.
+    logical, intent(in) :: from_start
+    !> In the frame of the urn.
     real(wp), intent(inout) :: position(2), velocity(2)
+    !> To be added to `computed_hits`.
     integer(int64), intent(inout) :: hits
-    real(wp) :: end_position(2), end_velocity(2), before
-    integer(int64) :: all_hits
+    real(wp) :: end_position(2), end_velocity(2), here(2), direction(2), before
+    integer(int64) :: all_hits, hits_since
 
     if (flight%next_event == trapped_in_urn .and. now >= flight%time) then
-      call locate_in_passage(urn, no_channel, flight%y, flight%u_axial, flight%u_lateral, &
-        now - flight%time, position, velocity, hits)
+      if (meets_corner(urn, no_channel, flight%y, flight%u_axial, flight%u_lateral, now &
+        - flight%time)) call locate_in_passage(urn, no_channel, flight%y, flight%u_axial, &
+        flight%u_lateral, now - flight%time, position, velocity, hits)
       return
+    end if
+    if (.not. from_start) then
+      if (.not. way_back_meets_corner(urn, flight, now)) return
     end if
     associate (start => starts%start(:, particle))
       before = flight%time - now - flight%length
       ! A part of a visit begins where the one before it ends: in that one this particle still is.
       if (now < start(5) .and. start(5) - now > before + urn%reach) return
+      call follow_passage(urn, start(1), start(2), start(3), start(4), max(now - start(5), 0.0_wp), &
+        here, direction, hits_since)
+      call trace_back_into_channel(urn, before, here, direction, hits_since)
+      if (from_start .and. maxval(abs(here - position)) <= same_path*urn%reach &
+        .and. maxval(abs(direction - velocity)) <= same_path) return
       call follow_passage(urn, start(1), start(2), start(3), start(4), huge(1.0_wp), end_position, &
         end_velocity, all_hits)
-      call follow_passage(urn, start(1), start(2), start(3), start(4), max(now - start(5), 0.0_wp), &
-        position, velocity, hits)
-      hits = hits - all_hits
-      call trace_back_into_channel(urn, before, position, velocity, hits)
+      position = here
+      velocity = direction
+      hits = hits_since - all_hits
     end associate
-  end subroutine locate_on_passage
+  end subroutine correct_by_passage
 
   !> Shifts all times back by one epoch.
   pure subroutine rebase_passage_starts(starts, epoch)

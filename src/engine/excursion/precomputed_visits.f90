@@ -25,20 +25,20 @@ module battery_precomputed_visits
   !> Precomputing pays where a window has fewer events than this on average.
   real(wp), parameter :: most_events = 1.0_wp
 
-  !> A precomputed visit: its particle, the start of its passage, and what `compute_passages` yields
-  !> of it.
+  !> A precomputed visit: its particle, and what `compute_passages` yields of it.
   type :: precomputed_visit_type
     integer :: particle = 0
     integer(int64) :: channel = 0
     real(wp) :: time = 0.0_wp, length = 0.0_wp, y = 0.0_wp, u_axial = 0.0_wp, u_lateral = 0.0_wp, &
       through = 0.0_wp, hits = 0.0_wp
-    real(wp) :: start(4) = 0.0_wp
   end type precomputed_visit_type
 
   !> Precomputed visits: a new one takes the place of the oldest.
   type :: precomputed_visits_type
     private
     type(precomputed_visit_type) :: visit(slots)
+    !> Starts of their passages through a polygon: x, y, u_x, u_y.
+    real(wp) :: start(4, slots) = 0.0_wp
     !> Slot written last.
     integer :: last = 0
   end type precomputed_visits_type
@@ -77,7 +77,6 @@ contains
     type(passage_starts_type), intent(inout) :: passage_starts
     !> Increased by the wall hits of the visits.
     integer(int64), intent(inout) :: computed_hits
-    real(wp) :: start(4, most_precomputed_visits)
     integer :: started, j, k
     logical :: all_computed
 
@@ -89,7 +88,8 @@ contains
     end do
     if (all_computed) then
       do j = 1, started
-        associate (known => precomputed%visit(flight(visits%particle(j))%precomputed_slot))
+        associate (slot => flight(visits%particle(j))%precomputed_slot, &
+          known => precomputed%visit(flight(visits%particle(j))%precomputed_slot))
           visits%channel(j) = known%channel
           visits%time(j) = known%time
           visits%length(j) = known%length
@@ -100,7 +100,7 @@ contains
           visits%hits(j) = known%hits
           computed_hits = computed_hits + int(known%hits, int64)
           if (urn%truncates_passages) call set_passage_start(passage_starts, &
-            visits%particle(j), known%start, known%time)
+            visits%particle(j), precomputed%start(:, slot), known%time)
         end associate
       end do
     else
@@ -118,17 +118,20 @@ contains
       call load_flights(number, flight, visits%count, visits%particle, visits%reversal_time, &
         visits%passage, visits%time, visits%y, visits%u_axial, visits%u_lateral)
       call cross_channels(urn, visits)
-      if (urn%truncates_passages) call store_passage_starts(passage_starts, visits, started)
-      do j = started + 1, visits%count
-        start(:, j - started) = [visits%x(j), visits%y(j), visits%u_axial(j), visits%u_lateral(j)]
-      end do
+      if (urn%truncates_passages) then
+        call store_passage_starts(passage_starts, visits, started)
+        do j = started + 1, visits%count
+          precomputed%start(:, slot_after(precomputed%last + j - started - 1)) = [visits%x(j), &
+            visits%y(j), visits%u_axial(j), visits%u_lateral(j)]
+        end do
+      end if
       call compute_passages(urn, visits)
       computed_hits = computed_hits + visits%all_hits
       do j = started + 1, visits%count
-        precomputed%last = modulo(precomputed%last, slots) + 1
+        precomputed%last = slot_after(precomputed%last)
         precomputed%visit(precomputed%last) = precomputed_visit_type(visits%particle(j), &
           visits%channel(j), visits%time(j), visits%length(j), visits%y(j), visits%u_axial(j), &
-          visits%u_lateral(j), visits%through(j), visits%hits(j), start(:, j - started))
+          visits%u_lateral(j), visits%through(j), visits%hits(j))
         flight(visits%particle(j))%precomputed_slot = int(precomputed%last, int32)
         computed_hits = computed_hits - int(visits%hits(j), int64)
       end do
@@ -140,6 +143,13 @@ contains
       flight(visits%particle(j))%precomputed_slot = 0
     end do
   end subroutine take_or_compute_visits
+
+  !> Slot that is written after a given one.
+  elemental integer function slot_after(slot)
+    integer, intent(in) :: slot
+
+    slot_after = modulo(slot, slots) + 1
+  end function slot_after
 
   !> Whether the next visit of particle `i` is precomputed. Its flight holds the slot of that visit;
   !> the slot may have been overwritten since.
