@@ -8,7 +8,7 @@ module battery_corners
   implicit none (type, external)
   private
   public :: most_corners, regular_corners, enclosed_area, is_rational_polygon, reversed_corners, &
-    next_corner, distance_to_side, sides_meet, side_distance, side_on_axis
+    next_corner, distance_to_side, is_on_side, sides_meet, side_distance, side_on_axis
 
   !> Largest number of corners of a polygon.
   integer, parameter :: most_corners = 1000
@@ -135,6 +135,18 @@ contains
     share = min(max(share, 0.0_wp), 1.0_wp)
     distance = hypot(x - a(1) - share*along(1), y - a(2) - share*along(2))
   end function distance_to_side
+
+  !> Whether a point is exactly on the side between the corners a and b. On an upright or a level
+  !> side that needs no rounding; the distance of such a point may come out above 0.
+  pure function is_on_side(x, y, a, b) result(on_side)
+    !> Coordinates: lengths.
+    real(wp), intent(in) :: x, y, a(2), b(2)
+    logical :: on_side
+
+    on_side = min(a(1), b(1)) <= x .and. x <= max(a(1), b(1)) .and. min(a(2), b(2)) <= y .and. &
+      y <= max(a(2), b(2))
+    if (on_side) on_side = .not. abs(cross_product(b - a, [x, y] - a)) > 0.0_wp
+  end function is_on_side
 
   !> Whether the sides a-b and c-d have a point in common.
   pure function sides_meet(a, b, c, d) result(meet)

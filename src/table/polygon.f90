@@ -19,20 +19,24 @@ module battery_polygon
   use battery_urn_shape, only: urn_shape_type, set_openings
   use battery_motion, only: meets_gate, meets_channel2, meets_nothing, meets_wall, wall_kind
   use battery_corners, only: enclosed_area, reversed_corners, next_corner, distance_to_side, &
-    side_distance, side_on_axis
+    is_on_side, side_distance, side_on_axis
   implicit none (type, external)
   private
   public :: polygon_type, new_polygon, is_in_polygon, try_point_in_polygon, nearest_side
   public :: find_next_wall_in_polygon, reflect_in_polygon, reflect_overshoot_in_polygon, &
     locate_in_polygon, find_first_impact_in_polygon
   public :: find_next_side_robustly, reflect_from_side, boundary_state_type, state_on_side, &
-    has_returned
+    has_returned, continue_flight
 
   !> Bound on the rounding error of a position on a side, in units of the table.
   real(wp), parameter :: rounding = 64.0_wp*epsilon(1.0_wp)
 
   !> Sides that lean by less than this, in units of the polygon, count as upright.
   real(wp), parameter, public :: upright = 2.0_wp**13*epsilon(1.0_wp)
+
+  !> A path that passes a corner, or the end of an opening, within this distance, in units of the
+  !> reach, meets it: rounding errors of earlier hits may have decided on which side it passes.
+  real(wp), parameter :: near = sqrt(epsilon(1.0_wp))
 
   !> Geometry of a polygon with its openings. Side k goes from corner k to corner k + 1.
   type, extends(urn_shape_type) :: polygon_type
@@ -228,6 +232,11 @@ contains
 
     inside = .false.
     do k = 1, polygon%sides
+      if (is_on_side(x, y, [polygon%x(k), polygon%y(k)], [polygon%x(k + 1), polygon%y(k + 1)])) &
+        then
+        inside = .true.
+        return
+      end if
       if ((polygon%y(k) > y) .eqv. (polygon%y(k + 1) > y)) cycle
       if (x < polygon%x(k) + (polygon%x(k + 1) - polygon%x(k))*((y - polygon%y(k)) &
         /(polygon%y(k + 1) - polygon%y(k)))) inside = .not. inside
@@ -272,7 +281,9 @@ contains
   end function nearest_side
 
   !> Finds the side that a particle hits next, and the time `wait` until then. A particle on the
-  !> side `from` (0: on none) does not hit that side.
+  !> side `from` (0: on none) does not hit that side. Where a path runs along a side, rounding alone
+  !> says where it crosses it: then only that it does so between its corners is certain. A time
+  !> beyond them would put the side behind the particle, which then would hit nothing.
   pure subroutine find_next_side(polygon, from, x, y, ux, uy, side, wait)
     type(polygon_type), intent(in) :: polygon
     integer, intent(in) :: from
@@ -281,16 +292,18 @@ contains
     !> 0 if no side is found, which only rounding can cause.
     integer, intent(out) :: side
     real(wp), intent(out) :: wait
-    real(wp) :: before, after, time
+    real(wp) :: before, after, time, least
     integer :: k
 
     side = 0
     wait = huge(1.0_wp)
+    least = huge(1.0_wp)
     after = ux*(polygon%y(1) - y) - uy*(polygon%x(1) - x)
     do k = 1, polygon%sides
       before = after
       after = ux*(polygon%y(k + 1) - y) - uy*(polygon%x(k + 1) - x)
       if (before >= 0.0_wp .or. after < 0.0_wp .or. k == from) cycle
+      least = min(least, after - before)
       time = polygon%length_of(k)*((polygon%x(k) - x)*polygon%normal_x(k) &
         + (polygon%y(k) - y)*polygon%normal_y(k))/(after - before)
       if (time >= wait) cycle
@@ -303,7 +316,43 @@ contains
       wait = time
     end do
     wait = max(wait, 0.0_wp)
+    if (least < polygon%tolerance) call find_next_side_alongside(polygon, from, x, y, ux, uy, side, &
+      wait)
   end subroutine find_next_side
+
+  !> As `find_next_side`, for a path along which a side rises by no more than rounding errors.
+  pure subroutine find_next_side_alongside(polygon, from, x, y, ux, uy, side, wait)
+    type(polygon_type), intent(in) :: polygon
+    integer, intent(in) :: from
+    real(wp), intent(in) :: x, y, ux, uy
+    integer, intent(out) :: side
+    real(wp), intent(out) :: wait
+    real(wp) :: before, after, time, passes, passed
+    integer :: k
+
+    side = 0
+    wait = huge(1.0_wp)
+    after = ux*(polygon%y(1) - y) - uy*(polygon%x(1) - x)
+    passes = ux*(polygon%x(1) - x) + uy*(polygon%y(1) - y)
+    do k = 1, polygon%sides
+      before = after
+      passed = passes
+      after = ux*(polygon%y(k + 1) - y) - uy*(polygon%x(k + 1) - x)
+      passes = ux*(polygon%x(k + 1) - x) + uy*(polygon%y(k + 1) - y)
+      if (before >= 0.0_wp .or. after < 0.0_wp .or. k == from) cycle
+      time = polygon%length_of(k)*((polygon%x(k) - x)*polygon%normal_x(k) &
+        + (polygon%y(k) - y)*polygon%normal_y(k))/(after - before)
+      time = min(max(time, min(passed, passes)), max(passed, passes))
+      if (time >= wait) cycle
+      if (time < -polygon%tolerance) then
+        if (distance_to_side(x, y, [polygon%x(k), polygon%y(k)], [polygon%x(k + 1), &
+          polygon%y(k + 1)]) > polygon%tolerance) cycle
+      end if
+      side = k
+      wait = time
+    end do
+    wait = max(wait, 0.0_wp)
+  end subroutine find_next_side_alongside
 
   !> As `find_next_side`, but also for a particle that moves along a side, or that rounding has put
   !> beyond one: then the path starts slightly farther inside. From the side `from` (0: none), at
@@ -529,14 +578,19 @@ contains
   end function has_returned
 
   !> Moves a particle from side to side for the time `rest`, or until it reaches an opening; then
-  !> `rest` is the time left.
-  pure subroutine continue_flight(polygon, side, x, y, ux, uy, rest, hits)
+  !> `rest` is the time left. At the time of a hit it has not been reflected; if it flies `back`, it
+  !> has: then time forwards it has not.
+  pure subroutine continue_flight(polygon, back, side, x, y, ux, uy, rest, hits, meets_corner)
     type(polygon_type), intent(in) :: polygon
+    !> Whether the velocity has been reversed.
+    logical, intent(in) :: back
     !> Side that the particle is on, or 0.
     integer, intent(inout) :: side
     real(wp), intent(inout) :: x, y, ux, uy, rest
     !> Wall hits within that time.
     integer(int64), intent(out) :: hits
+    !> Set if the path meets a corner.
+    logical, intent(inout) :: meets_corner
     integer, parameter :: most_at_once = 10000
     integer(wall_kind) :: next
     real(wp) :: wait
@@ -546,17 +600,53 @@ contains
     at_once = 0
     do
       call find_next_wall_from_side(polygon, side, x, y, ux, uy, next, wait)
+      meets_corner = meets_corner .or. passes_corner(polygon, x, y, ux, uy, min(wait, rest))
       x = x + ux*min(wait, rest)
       y = y + uy*min(wait, rest)
       ! A particle that rounding keeps in a corner stays there.
       at_once = merge(0, at_once + 1, wait > polygon%tolerance)
-      if (wait >= rest .or. next < meets_wall .or. at_once > most_at_once) exit
+      if (wait > rest .or. next < meets_wall .or. at_once > most_at_once) exit
+      if (wait >= rest .and. .not. back) exit
       rest = rest - wait
       side = int(next)
       call reflect_from_side(polygon, side, x, y, ux, uy)
       hits = hits + 1
     end do
   end subroutine continue_flight
+
+  !> Whether a straight path of a given length passes a corner or the end of an opening, or ends at
+  !> one, within the distance `near`.
+  pure function passes_corner(polygon, x, y, ux, uy, length) result(passes)
+    type(polygon_type), intent(in) :: polygon
+    real(wp), intent(in) :: x, y, ux, uy, length
+    logical :: passes
+    integer :: k
+
+    passes = .false.
+    do k = 1, polygon%sides
+      passes = passes .or. is_near(polygon%x(k), polygon%y(k))
+    end do
+    do k = channel1, channel2
+      if (polygon%side(k) == 0) cycle
+      passes = passes .or. is_near(facing(k)*polygon%chord(k), polygon%half_width(k)) &
+        .or. is_near(facing(k)*polygon%chord(k), -polygon%half_width(k))
+    end do
+
+  contains
+
+    !> Whether the path comes near a point.
+    pure logical function is_near(at_x, at_y)
+      real(wp), intent(in) :: at_x, at_y
+      real(wp) :: ahead, zone
+
+      zone = near*polygon%reach
+      is_near = abs(ux*(at_y - y) - uy*(at_x - x)) <= zone
+      if (.not. is_near) return
+      ahead = ux*(at_x - x) + uy*(at_y - y)
+      is_near = -zone <= ahead .and. ahead <= length + zone
+    end function is_near
+
+  end function passes_corner
 
   !> First impact of a particle that is in the polygon; openings count as wall.
   pure subroutine find_first_impact_in_polygon(polygon, x, y, ux, uy, arc_length, u_axial, &
@@ -592,9 +682,11 @@ contains
   end subroutine find_first_impact_in_polygon
 
   !> Position of a particle in the polygon at a time relative to a boundary state, or to the end of
-  !> its passage.
+  !> its passage. Which side a path through a corner hits is decided by rounding: computed back, or
+  !> with other rounding errors than in `compute_passages`, it may turn to another side there. So a
+  !> path that meets a corner is not to be believed; `follow_passage` yields the one that was taken.
   pure subroutine locate_in_polygon(polygon, channel, y, u_axial, u_lateral, since, position, &
-    velocity, hits)
+    velocity, hits, meets_corner)
     type(polygon_type), intent(in) :: polygon
     !> Channel through which the passage ends; any other value: it does not end.
     integer, intent(in) :: channel
@@ -608,12 +700,15 @@ contains
     !> Wall hits since then; below 0: minus the number of hits until then, that of the boundary
     !> state included.
     integer(int64), intent(out) :: hits
+    !> Whether the path in between meets a corner or the end of an opening.
+    logical, intent(out) :: meets_corner
     real(wp), parameter :: long = 1000.0_wp
     real(wp) :: rest, period
     integer(int64) :: hits_each, periods
     integer :: side
     logical :: leaves
 
+    meets_corner = .false.
     leaves = channel == channel1 .or. channel == channel2
     if (leaves) then
       side = polygon%side(channel)
@@ -628,30 +723,32 @@ contains
       if (.not. leaves) call reflect_from_side(polygon, side, position(1), position(2), &
         velocity(1), velocity(2))
       rest = -since
-      call continue_flight(polygon, side, position(1), position(2), velocity(1), velocity(2), &
-        rest, hits)
+      call continue_flight(polygon, .true., side, position(1), position(2), velocity(1), &
+        velocity(2), rest, hits, meets_corner)
       velocity = -velocity
       hits = -hits - merge(0, 1, leaves)
     else
       period = huge(1.0_wp)
       hits_each = 0
       if (since > long*polygon%reach) call find_period(polygon, boundary_state_type(y, u_axial, &
-        u_lateral), period, hits_each)
+        u_lateral), period, hits_each, meets_corner)
       periods = int(since/period, int64)
       rest = max(since - real(periods, wp)*period, 0.0_wp)
-      call continue_flight(polygon, side, position(1), position(2), velocity(1), velocity(2), &
-        rest, hits)
+      call continue_flight(polygon, .false., side, position(1), position(2), velocity(1), &
+        velocity(2), rest, hits, meets_corner)
       hits = hits + periods*hits_each
     end if
   end subroutine locate_in_polygon
 
   !> Finds time and hits after which a boundary state recurs; huge and 0 if it does not within
   !> `longest_period` hits.
-  pure subroutine find_period(polygon, state, period, hits)
+  pure subroutine find_period(polygon, state, period, hits, meets_corner)
     type(polygon_type), intent(in) :: polygon
     type(boundary_state_type), intent(in) :: state
     real(wp), intent(out) :: period
     integer(int64), intent(out) :: hits
+    !> Set if the path meets a corner.
+    logical, intent(inout) :: meets_corner
     integer(wall_kind) :: next
     real(wp) :: x, y, ux, uy, wait
     integer :: side
@@ -663,6 +760,7 @@ contains
     do hits = 1, longest_period
       call find_next_wall_from_side(polygon, side, x, y, ux, uy, next, wait)
       if (next < meets_wall) exit
+      meets_corner = meets_corner .or. passes_corner(polygon, x, y, ux, uy, wait)
       x = x + ux*wait
       y = y + uy*wait
       period = period + wait

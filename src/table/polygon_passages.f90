@@ -13,11 +13,12 @@ module battery_polygon_passages
   use battery_channel, only: channel1, channel2
   use battery_motion, only: slowest
   use battery_polygon, only: polygon_type, nearest_side, boundary_state_type, state_on_side, &
-    has_returned, find_next_side_robustly, reflect_from_side, longest_period
+    has_returned, find_next_side_robustly, reflect_from_side, longest_period, &
+    continue_flight
   use battery_visits, only: visits_type, group_size, no_channel, truncated, many_hits
   implicit none (type, external)
   private
-  public :: compute_polygon_passages
+  public :: compute_polygon_passages, follow_polygon_passage
 
   !> Hits between two compactions, and rounds after which a visit is finished alone.
   integer, parameter :: march_hits = 4, most_marches = 2500
@@ -342,53 +343,147 @@ contains
     visits%many_hits_index(visits%many_hits_count) = which
   end subroutine list_visit_with_many_hits
 
-  !> Continues a visit of very many hits from side to side until it ends, its boundary state recurs,
-  !> or a part of it is complete. The states after 1, 2, 4, ... hits are stored; each is compared
-  !> with those that follow it until the next one is stored.
+  !> Continues a visit of very many hits alone, until it ends, its boundary state recurs, or a part
+  !> of it is complete.
   pure subroutine finish_single_visit(polygon, visits, j)
     type(polygon_type), intent(in) :: polygon
     type(visits_type), intent(inout) :: visits
     integer, intent(in) :: j
-    type(boundary_state_type) :: state, kept
+    type(boundary_state_type) :: state
+    integer(int64) :: ending
+
+    call continue_alone(polygon, huge(1.0_wp), visits%px(j), visits%py(j), visits%zx(j), &
+      visits%zy(j), visits%first(j), visits%steps(j), state, ending)
+    if (ending == channel1) then
+      call store_exit(polygon, visits, j)
+    else
+      call store_truncated(visits, j, state, ending)
+    end if
+  end subroutine finish_single_visit
+
+  !> Moves a particle from side to side until it reaches an opening, its boundary state recurs, or a
+  !> part is complete; at most until its path is `longest` long. The states after 1, 2, 4, ... hits
+  !> are stored; each is compared with those that follow it until the next one is stored.
+  pure subroutine continue_alone(polygon, longest, x, y, ux, uy, length, steps, state, ending)
+    type(polygon_type), intent(in) :: polygon
+    real(wp), intent(in) :: longest
+    real(wp), intent(inout) :: x, y, ux, uy
+    !> Length of the path and number of hits, those before included.
+    real(wp), intent(inout) :: length, steps
+    !> State after the last hit.
+    type(boundary_state_type), intent(out) :: state
+    !> `channel1` if the particle reaches any opening, `no_channel` if the state recurs, else
+    !> `truncated`.
+    integer(int64), intent(out) :: ending
+    type(boundary_state_type) :: kept
     real(wp) :: wait
     integer :: hits, keep, side
     logical :: same
 
-    associate (x => visits%px(j), y => visits%py(j), ux => visits%zx(j), uy => visits%zy(j), &
-      length => visits%first(j))
+    side = 0
+    keep = 1
+    same = .false.
+    ending = truncated
+    do hits = 1, most_part_hits
+      call find_next_side_robustly(polygon, (side), x, y, ux, uy, side, wait)
+      ! No side is found: treated as an orbit that recurs.
+      same = side == 0
+      if (same) then
+        state = state_on_side(polygon, nearest_side(polygon, x, y), x, y, ux, uy)
+        exit
+      end if
+      if (length + wait >= longest) then
+        x = x + ux*(longest - length)
+        y = y + uy*(longest - length)
+        return
+      end if
+      x = x + ux*wait
+      y = y + uy*wait
+      length = length + wait
+      if (abs(y) < polygon%half_opening(side)) then
+        ending = channel1
+        return
+      end if
+      call reflect_from_side(polygon, side, x, y, ux, uy)
+      steps = steps + 1.0_wp
+      state = state_on_side(polygon, side, x, y, ux, uy)
+      if (hits > 1) same = has_returned(polygon, state, kept)
+      if (same) exit
+      if (hits >= longest_period .and. length >= least_part*polygon%reach) exit
+      if (hits == keep) then
+        kept = state
+        keep = 2*keep
+      end if
+    end do
+    if (same .or. hits > most_part_hits) ending = no_channel
+  end subroutine continue_alone
+
+  !> Position of a particle at the time `elapsed` after the start of its passage, on the path that
+  !> `compute_polygon_passages` takes. Rounding decides on which side a path passes a corner that it
+  !> hits exactly: so this computes the same hits, by the same operations, with this particle in all
+  !> lanes. Between two states of that path, the place is computed from the one from which the way
+  !> meets no corner. At the time of a hit the particle has not been reflected.
+  subroutine follow_polygon_passage(polygon, x, y, ux, uy, elapsed, position, velocity, hits)
+    type(polygon_type), intent(in) :: polygon
+    !> Start of the passage, and the time since then.
+    real(wp), intent(in) :: x, y, ux, uy, elapsed
+    !> x and y of each: lengths, and a vector of length 1; those at the end, if that is sooner.
+    real(wp), intent(out) :: position(2), velocity(2)
+    !> Wall hits since the start.
+    integer(int64), intent(out) :: hits
+    !> x, y, u_x, u_y, hits, length, and whether it flies, of each lane.
+    real(wp) :: lane(group_size, 7), before(group_size, 7)
+    type(boundary_state_type) :: state
+    integer(int64) :: ending
+    logical :: meets_corner
+    integer :: round, slot(group_size)
+
+    before(:, 1:4) = spread([x, y, ux, uy], 1, group_size)
+    call load_visits(group_size, before(:, 1), before(:, 2), before(:, 3), before(:, 4), lane(:, 1), &
+      lane(:, 2), lane(:, 3), lane(:, 4), lane(:, 5), lane(:, 6), lane(:, 7), slot)
+    do round = 1, most_marches
+      before = lane
+      call step_hits(polygon, group_size, lane(:, 1), lane(:, 2), lane(:, 3), lane(:, 4), &
+        lane(:, 5), lane(:, 6), lane(:, 7))
+      if (lane(1, 6) >= elapsed .or. .not. lane(1, 7) > 0.0_wp) exit
+    end do
+    if (lane(1, 6) >= elapsed) then
+      call fly_between(before(1, :), elapsed, .false., position, velocity, hits, meets_corner)
+      if (meets_corner) call fly_between(lane(1, :), elapsed, .true., position, velocity, hits, &
+        meets_corner)
+      return
+    end if
+    if (lane(1, 7) > 0.0_wp) call continue_alone(polygon, elapsed, lane(1, 1), lane(1, 2), &
+      lane(1, 3), lane(1, 4), lane(1, 6), lane(1, 5), state, ending)
+    position = lane(1, 1:2)
+    velocity = lane(1, 3:4)
+    hits = int(lane(1, 5), int64)
+
+  contains
+
+    !> Position at the time `elapsed`, from a state before it or, `back`, after it.
+    pure subroutine fly_between(from, elapsed, back, position, velocity, hits, meets_corner)
+      real(wp), intent(in) :: from(7), elapsed
+      logical, intent(in) :: back
+      real(wp), intent(out) :: position(2), velocity(2)
+      integer(int64), intent(out) :: hits
+      logical, intent(out) :: meets_corner
+      real(wp) :: way, rest
+      integer :: side
+
+      way = merge(-1.0_wp, 1.0_wp, back)
       side = 0
-      keep = 1
-      same = .false.
-      do hits = 1, most_part_hits
-        call find_next_side_robustly(polygon, (side), x, y, ux, uy, side, wait)
-        ! No side is found: treated as an orbit that recurs.
-        same = side == 0
-        if (same) then
-          state = state_on_side(polygon, nearest_side(polygon, x, y), x, y, ux, uy)
-          exit
-        end if
-        x = x + ux*wait
-        y = y + uy*wait
-        length = length + wait
-        if (abs(y) < polygon%half_opening(side)) then
-          call store_exit(polygon, visits, j)
-          return
-        end if
-        call reflect_from_side(polygon, side, x, y, ux, uy)
-        visits%steps(j) = visits%steps(j) + 1.0_wp
-        state = state_on_side(polygon, side, x, y, ux, uy)
-        if (hits > 1) same = has_returned(polygon, state, kept)
-        if (same) exit
-        if (hits >= longest_period .and. length >= least_part*polygon%reach) exit
-        if (hits == keep) then
-          kept = state
-          keep = 2*keep
-        end if
-      end do
-      call store_truncated(visits, j, state, merge(no_channel, truncated, same .or. hits &
-        > most_part_hits))
-    end associate
-  end subroutine finish_single_visit
+      position = from(1:2)
+      velocity = way*from(3:4)
+      rest = way*(elapsed - from(6))
+      meets_corner = .false.
+      call continue_flight(polygon, back, side, position(1), position(2), velocity(1), velocity(2), &
+        rest, hits, meets_corner)
+      velocity = way*velocity
+      hits = int(from(5), int64) + nint(way, int64)*hits
+    end subroutine fly_between
+
+  end subroutine follow_polygon_passage
 
   !> Stores a visit that has not ended: truncated, or one that never ends.
   pure subroutine store_truncated(visits, j, state, channel)

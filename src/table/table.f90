@@ -238,6 +238,7 @@ contains
     !> Position in the frame of the table, and a distance: lengths.
     real(wp), intent(in) :: x, y, tolerance
     integer :: chamber
+    real(wp) :: beside
 
     chamber = outside
     associate (urn => table%urn(urn_at(table, x)))
@@ -252,11 +253,13 @@ contains
       else if (contains_point(urn, urn%centre - abs(x), y, tolerance)) then
         chamber = in_urn
       end if
-      if (urn%overhangs .and. chamber /= in_urn) then
-        ! An urn may extend beside a channel, or over its end.
-        if (abs(y) > urn%half_width(merge(channel1, channel2, abs(x) &
-          <= urn%channel_start(channel1))) .and. contains_point(urn, urn%centre - abs(x), y, &
-          0.0_wp)) chamber = in_urn
+      if (chamber /= in_urn) then
+        ! Beside a channel or its end, the urn has the point if it is nearer than the channel: the
+        ! wall of an opening ends at its chord, and an urn may extend over a channel.
+        beside = abs(y) - urn%half_width(merge(channel1, channel2, abs(x) &
+          <= urn%channel_start(channel1)))
+        if (beside > 0.0_wp .and. contains_point(urn, urn%centre - abs(x), y, min(beside, &
+          tolerance))) chamber = in_urn
         if (chamber == outside .and. contains_point(urn, urn%centre - abs(x), y, tolerance)) &
           chamber = in_urn
       end if

@@ -14,13 +14,13 @@ module battery_urn
   use battery_polygon, only: polygon_type, new_polygon, is_in_polygon, try_point_in_polygon, &
     locate_in_polygon, find_first_impact_in_polygon, find_next_wall_in_polygon, &
     reflect_in_polygon, reflect_overshoot_in_polygon
-  use battery_polygon_passages, only: compute_polygon_passages
+  use battery_polygon_passages, only: compute_polygon_passages, follow_polygon_passage
   use battery_visits, only: visits_type
   implicit none (type, external)
   private
   public :: urn_type, shape_disc, shape_polygon, derive_shape, are_mirror_images, contains_point, &
     try_random_point, compute_passages, locate_in_passage, find_first_impact, locate_after, &
-    find_next_wall, reflect_at_wall, reflect_overshoot
+    follow_passage, meets_corner, find_next_wall, reflect_at_wall, reflect_overshoot
 
   !> The shapes.
   integer, parameter :: shape_disc = 1, shape_polygon = 2
@@ -178,6 +178,28 @@ contains
     hits = hits + before
   end subroutine locate_after
 
+  !> As `locate_after`, from the start of a passage, on the path that `compute_passages` takes: by
+  !> the same operations, so that it passes each corner on the same side. After the end of the
+  !> passage the particle stays there, and `hits` is the number of hits of the whole passage.
+  subroutine follow_passage(urn, x, y, ux, uy, elapsed, position, velocity, hits)
+    type(urn_type), intent(in) :: urn
+    !> Start of the passage in the frame of the urn: lengths, and a vector of length 1.
+    real(wp), intent(in) :: x, y, ux, uy
+    !> Time since then.
+    real(wp), intent(in) :: elapsed
+    !> x and y of each.
+    real(wp), intent(out) :: position(2), velocity(2)
+    !> Wall hits since then.
+    integer(int64), intent(out) :: hits
+
+    select case (urn%shape)
+    case (shape_polygon)
+      call follow_polygon_passage(urn%polygon, x, y, ux, uy, elapsed, position, velocity, hits)
+    case default
+      call locate_after(urn, x, y, ux, uy, elapsed, position, velocity, hits)
+    end select
+  end subroutine follow_passage
+
   !> Position of a particle in the urn at a time relative to an impact, or to the end of its
   !> passage.
   pure subroutine locate_in_passage(urn, channel, y, u_axial, u_lateral, since, position, &
@@ -194,15 +216,32 @@ contains
     real(wp), intent(out) :: position(2), velocity(2)
     !> Wall hits since then; below 0: minus the number of hits until then.
     integer(int64), intent(out) :: hits
+    logical :: passes_corner
 
     select case (urn%shape)
     case (shape_polygon)
       call locate_in_polygon(urn%polygon, channel, y, u_axial, u_lateral, since, position, &
-        velocity, hits)
+        velocity, hits, passes_corner)
     case default
       call locate_in_disc(urn%disc, channel, y, u_axial, u_lateral, since, position, velocity, hits)
     end select
   end subroutine locate_in_passage
+
+  !> Whether the path of `locate_in_passage`, with the same arguments, meets a corner of a polygon,
+  !> so that it may not be the one that was taken.
+  pure function meets_corner(urn, channel, y, u_axial, u_lateral, since)
+    type(urn_type), intent(in) :: urn
+    !> As in `locate_in_passage`.
+    integer, intent(in) :: channel
+    real(wp), intent(in) :: y, u_axial, u_lateral, since
+    logical :: meets_corner
+    real(wp) :: position(2), velocity(2)
+    integer(int64) :: hits
+
+    meets_corner = .false.
+    if (urn%shape == shape_polygon) call locate_in_polygon(urn%polygon, channel, y, u_axial, &
+      u_lateral, since, position, velocity, hits, meets_corner)
+  end function meets_corner
 
   !> Finds the wall or opening `next` that a particle in the urn, or at an opening, reaches first,
   !> and the time `wait` until then.

@@ -10,7 +10,8 @@
 !> batch, the visits that these events begin.
 !>
 !> The state of a particle (`flight_type`) is its state on entry into its next channel. Its position
-!> before then is computed backwards from that entry, or forwards from the start of a long visit.
+!> before then is computed backwards from that entry, or forwards from the start of a long visit;
+!> in a polygon by the kernel of the passages, if that way meets a corner.
 !>
 !> This file has the type, one window (`advance_window`), the positions of particles, and the
 !> serialisation. Separate files have flights (`flight.f90`), the two ways to process the events of
@@ -27,6 +28,8 @@ module battery_excursion
     mean_urn_passage, shortest_excursion, has_scatterers
   use battery_urn_shape, only: cross_channels
   use battery_urn, only: compute_passages
+  use battery_passage_starts, only: passage_starts_type, new_passage_starts, store_passage_starts, &
+    correct_by_passage, rebase_passage_starts, serialize_passage_starts
   use battery_visits, only: visits_type, reserve_visits, split_visits_by_urn, truncated
   use battery_scatterers, only: narrowest_gap, detect_periodic_path
   use battery_gate, only: enter_gate, number_inside, first_crossing_time
@@ -95,6 +98,8 @@ module battery_excursion
     !> Start of each long visit; if channel 2 has discs, `scatterer_visits` holds the start
     !> of every visit.
     type(long_visits_type) :: long_visits
+    !> Start of the latest passage of each particle through a polygon.
+    type(passage_starts_type) :: passage_starts
     !> Wall hits of all visits and passages computed so far, future ones included, and those that
     !> event records have reported.
     integer(int64) :: computed_hits = 0, reported_hits = 0
@@ -149,6 +154,8 @@ contains
     if (allocated(self%flight)) deallocate (self%flight)
     call new_flights(self%flight, self%number)
     call new_long_visits(self%long_visits, self%number, maxval(self%table%urn%reach))
+    call new_passage_starts(self%passage_starts, merge(self%number, 0, &
+      any(self%table%urn%truncates_passages) .and. .not. self%has_scatterers))
     self%computed_hits = 0
     self%reported_hits = 0
     self%partial_count = 0
@@ -239,6 +246,7 @@ contains
     integer, intent(in) :: b
 
     associate (v => self%visits(b))
+      if (self%table%urn(b)%truncates_passages) call store_passage_starts(self%passage_starts, v)
       call compute_passages(self%table%urn(b), v)
       self%computed_hits = self%computed_hits + v%all_hits
     end associate
@@ -314,7 +322,8 @@ contains
       associate (v => self%visits(b))
         if (self%precomputes_visits) then
           call take_or_compute_visits(self%table%urn(1), self%number, self%flight, &
-            self%calendar%sorted, self%calendar%particle, v, self%precomputed, self%computed_hits)
+            self%calendar%sorted, self%calendar%particle, v, self%precomputed, &
+            self%passage_starts, self%computed_hits)
         else
           call load_flights(self%number, self%flight, v%count, v%particle, v%reversal_time, &
             v%passage, v%time, v%y, v%u_axial, v%u_lateral)
@@ -336,7 +345,7 @@ contains
       associate (v => self%partial_visits)
         call compute_partial_visits(self%table%urn(urn), urn, self%number, self%flight, &
           self%resumed_count, self%resumed_time, self%resumed, v, self%long_visits, &
-          self%computed_hits)
+          self%passage_starts, self%computed_hits)
         self%partial_count = self%partial_count - v%count + count(v%channel(:v%count) == truncated)
         call schedule_events(self%calendar, v%count, v%particle, v%time)
       end associate
@@ -353,6 +362,7 @@ contains
       self%scatterer_visits%visit_start%time - self%epoch
     self%flight%time = self%flight%time - self%epoch
     call rebase_long_visits(self%long_visits, self%epoch)
+    call rebase_passage_starts(self%passage_starts, self%epoch)
     call rebase_gates_and_clock(self)
   end subroutine rebase_clock
 
@@ -373,6 +383,7 @@ contains
     integer, intent(in) :: i
     real(wp), intent(out) :: state(4)
     integer(int64), intent(out) :: hits
+    logical :: from_start
 
     associate (flight => self%flight(i), urn => self%table%urn(self%flight(i)%urn))
       if (flight%next_event == trapped_in_channel) then
@@ -382,11 +393,15 @@ contains
         call locate_by_replay(self%table, self%scatterer_visits%visit_start(i), self%now, state, &
           hits)
       else
-        if (is_nearer_start(self%long_visits, flight, self%now)) then
+        from_start = is_nearer_start(self%long_visits, flight, self%now)
+        if (from_start) then
           call locate_from_start(self%long_visits, urn, i, self%now, state(:2), state(3:), hits)
         else
           call locate_particle(urn, flight, self%now, state(:2), state(3:), hits)
         end if
+        if (urn%truncates_passages .and. flight%next_event /= counted_in_gate .and. .not. &
+          self%has_scatterers) call correct_by_passage(self%passage_starts, urn, flight, i, &
+          self%now, from_start, state(:2), state(3:), hits)
         state(1) = urn%axis_sign*(state(1) - urn%centre)
         state(3) = urn%axis_sign*state(3)
       end if
@@ -460,6 +475,7 @@ contains
       call serialize_visit_starts(self%scatterer_visits, self%flight%urn, archive)
     else
       call serialize_long_visits(self%long_visits, self%flight, archive)
+      call serialize_passage_starts(self%passage_starts, archive)
     end if
     if (.not. archive%reading .or. archive%failed()) return
     self%partial_count = merge(0, count(self%flight%next_event == partial_visit), &

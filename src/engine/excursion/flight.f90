@@ -14,13 +14,13 @@ module battery_flight
   use battery_channel, only: fold_into_channel, facing
   use battery_memory, only: prefer_large_pages
   use battery_table, only: table_type, passage_type, passage_at, channel1, channel2, no_channel
-  use battery_urn, only: urn_type, locate_in_passage, find_first_impact
+  use battery_urn, only: urn_type, locate_in_passage, find_first_impact, meets_corner
   use battery_visits, only: visits_type, truncated
   implicit none (type, external)
   private
   public :: new_flights, make_initial_flight, set_flight_to_visit_start, load_flights, &
     store_flights, locate_particle, locate_trapped_particle, trace_back_into_channel, &
-    middle_time, never
+    way_back_meets_corner, middle_time, never
   public :: to_gate, to_periodic_line, counted_in_gate, trapped_in_urn, trapped_in_channel, &
     partial_visit
 
@@ -246,6 +246,22 @@ contains
       call trace_back_into_channel(urn, flight%time - now - flight%length, position, velocity, hits)
     end if
   end subroutine locate_particle
+
+  !> Whether the way back of `locate_particle` meets a corner.
+  pure function way_back_meets_corner(urn, flight, now) result(yes)
+    type(urn_type), intent(in) :: urn
+    type(flight_type), intent(in) :: flight
+    !> On the clock of the flight.
+    real(wp), intent(in) :: now
+    logical :: yes
+    integer :: channel
+
+    channel = merge(channel2, channel1, flight%next_event == to_periodic_line)
+    if (flight%next_event == partial_visit) channel = no_channel
+    yes = channel == no_channel .or. now < flight%time
+    if (yes) yes = meets_corner(urn, channel, flight%y, flight%u_axial, flight%u_lateral, &
+      -min(flight%time - now, flight%length))
+  end function way_back_meets_corner
 
   !> Moves a particle back from the start of its visit into the channel before it, if the visit
   !> starts only after the time `before`.

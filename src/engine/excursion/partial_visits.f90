@@ -9,6 +9,7 @@ module battery_partial_visits
   use battery_calendar, only: flight_type
   use battery_flight, only: partial_visit, never, store_flights
   use battery_long_visits, only: long_visits_type, store_visit_starts
+  use battery_passage_starts, only: passage_starts_type, store_passage_starts
   use battery_urn, only: urn_type, compute_passages, locate_in_passage
   use battery_visits, only: visits_type, reserve_visits, truncated
   implicit none (type, external)
@@ -47,7 +48,7 @@ contains
 
   !> Computes the next part of each visit to one urn, from the time at which it is due.
   subroutine compute_partial_visits(urn, urn_index, number, flight, resumed_count, resumed_time, &
-    resumed, visits, long_visits, computed_hits)
+    resumed, visits, long_visits, passage_starts, computed_hits)
     type(urn_type), intent(in) :: urn
     !> The urn, 1 or 2; number of particles.
     integer, intent(in) :: urn_index, number
@@ -60,6 +61,8 @@ contains
     type(visits_type), intent(inout) :: visits
     !> Updated with the start of each part.
     type(long_visits_type), intent(inout) :: long_visits
+    !> Updated with the start of each part, at which its passage is computed.
+    type(passage_starts_type), intent(inout) :: passage_starts
     !> Increased by the wall hits of the parts.
     integer(int64), intent(inout) :: computed_hits
     real(wp) :: position(2), velocity(2), rest(resumed_count)
@@ -88,6 +91,9 @@ contains
     end do
     associate (v => visits, n => visits%count)
       if (n == 0) return
+      v%time(:n) = v%time(:n) + rest(:n)
+      call store_passage_starts(passage_starts, v)
+      v%time(:n) = v%time(:n) - rest(:n)
       call compute_passages(urn, v)
       computed_hits = computed_hits + v%all_hits
       v%length(:n) = v%length(:n) + rest(:n)

@@ -11,6 +11,7 @@ module battery_precomputed_visits
   use battery_channel, only: channel1, channel2
   use battery_urn_shape, only: cross_channels
   use battery_flight, only: load_flights, never, partial_visit, to_gate
+  use battery_passage_starts, only: passage_starts_type, store_passage_starts, set_passage_start
   use battery_urn, only: urn_type, compute_passages
   use battery_visits, only: visits_type
   implicit none (type, external)
@@ -36,6 +37,8 @@ module battery_precomputed_visits
   type :: precomputed_visits_type
     private
     type(precomputed_visit_type) :: visit(slots)
+    !> Starts of their passages through a polygon: x, y, u_x, u_y.
+    real(wp) :: start(4, slots) = 0.0_wp
     !> Slot written last.
     integer :: last = 0
   end type precomputed_visits_type
@@ -58,7 +61,7 @@ contains
   !> Copies the visits that begin from the precomputed ones, if all of them are there. Else computes
   !> them, together with the visits of the next events, which are stored.
   subroutine take_or_compute_visits(urn, number, flight, pending, pending_particle, visits, &
-    precomputed, computed_hits)
+    precomputed, passage_starts, computed_hits)
     type(urn_type), intent(in) :: urn
     !> Number of particles; number of pending events in order.
     integer, intent(in) :: number, pending
@@ -70,6 +73,8 @@ contains
     type(visits_type), intent(inout) :: visits
     !> Precomputed visits.
     type(precomputed_visits_type), intent(inout) :: precomputed
+    !> Updated with the starts of the passages of the visits.
+    type(passage_starts_type), intent(inout) :: passage_starts
     !> Increased by the wall hits of the visits.
     integer(int64), intent(inout) :: computed_hits
     integer :: started, j, k
@@ -83,7 +88,8 @@ contains
     end do
     if (all_computed) then
       do j = 1, started
-        associate (known => precomputed%visit(flight(visits%particle(j))%precomputed_slot))
+        associate (slot => flight(visits%particle(j))%precomputed_slot, &
+          known => precomputed%visit(flight(visits%particle(j))%precomputed_slot))
           visits%channel(j) = known%channel
           visits%time(j) = known%time
           visits%length(j) = known%length
@@ -93,6 +99,8 @@ contains
           visits%through(j) = known%through
           visits%hits(j) = known%hits
           computed_hits = computed_hits + int(known%hits, int64)
+          if (urn%truncates_passages) call set_passage_start(passage_starts, &
+            visits%particle(j), precomputed%start(:, slot), known%time)
         end associate
       end do
     else
@@ -110,10 +118,17 @@ contains
       call load_flights(number, flight, visits%count, visits%particle, visits%reversal_time, &
         visits%passage, visits%time, visits%y, visits%u_axial, visits%u_lateral)
       call cross_channels(urn, visits)
+      if (urn%truncates_passages) then
+        call store_passage_starts(passage_starts, visits, started)
+        do j = started + 1, visits%count
+          precomputed%start(:, slot_after(precomputed%last + j - started - 1)) = [visits%x(j), &
+            visits%y(j), visits%u_axial(j), visits%u_lateral(j)]
+        end do
+      end if
       call compute_passages(urn, visits)
       computed_hits = computed_hits + visits%all_hits
       do j = started + 1, visits%count
-        precomputed%last = modulo(precomputed%last, slots) + 1
+        precomputed%last = slot_after(precomputed%last)
         precomputed%visit(precomputed%last) = precomputed_visit_type(visits%particle(j), &
           visits%channel(j), visits%time(j), visits%length(j), visits%y(j), visits%u_axial(j), &
           visits%u_lateral(j), visits%through(j), visits%hits(j))
@@ -128,6 +143,13 @@ contains
       flight(visits%particle(j))%precomputed_slot = 0
     end do
   end subroutine take_or_compute_visits
+
+  !> Slot that is written after a given one.
+  elemental integer function slot_after(slot)
+    integer, intent(in) :: slot
+
+    slot_after = modulo(slot, slots) + 1
+  end function slot_after
 
   !> Whether the next visit of particle `i` is precomputed. Its flight holds the slot of that visit;
   !> the slot may have been overwritten since.
