@@ -777,13 +777,14 @@ def test_overwrite(tmp_path: Path) -> None:
 
 
 def test_a_file_of_someone_else_is_kept(tmp_path: Path) -> None:
-    """A file that is no results file is not overwritten without being told to."""
+    """A file that is no results file is not replaced, nor discarded with --overwrite."""
     write(tmp_path)
     (tmp_path / "out.h5").write_text("my notes")
-    ended = run("case.nml", folder=tmp_path)
-    assert ended.returncode == 2
-    assert "out.h5" in ended.stderr
-    assert (tmp_path / "out.h5").read_text() == "my notes"
+    for words in ((), ("--overwrite",)):
+        ended = run(*words, "case.nml", folder=tmp_path)
+        assert ended.returncode == 2
+        assert "out.h5 is not a results file" in ended.stderr
+        assert (tmp_path / "out.h5").read_text() == "my notes"
 
 
 def test_no_half_file_while_it_runs(tmp_path: Path) -> None:

@@ -3,7 +3,7 @@ module battery_startup
   use battery_kinds, only: wp, dp, int64
   use battery_build_information, only: program_version
   use battery_communicator, only: communicator_type, share_error, share_words
-  use battery_checksum_footer, only: check_footer
+  use battery_checksum_footer, only: check_footer, check_discardable
   use battery_error, only: error_type, fatal_error, exit_failure, exit_bad_input
   use battery_files, only: file_exists, remove_file
   use battery_journal, only: journal_type, read_plan, task_ids_in, begin_journal, join_journal, &
@@ -91,6 +91,7 @@ contains
     complete = .false.
     rank_files = 0
     call check_journal(journal_folder(plan), error)
+    if (.not. allocated(error) .and. overwrite) call check_discardable(plan%file, error)
     if (.not. allocated(error) .and. overwrite) call remove_file(plan%file, error)
     if (.not. allocated(error) .and. overwrite) call remove_journal(journal_folder(plan), error)
     if (.not. allocated(error)) call inspect_output(plan, progress, message, error)

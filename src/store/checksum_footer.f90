@@ -16,7 +16,7 @@ module battery_checksum_footer
   use battery_paths, only: is_folder
   implicit none (type, external)
   private
-  public :: footer_length, footer_of, check_footer, copy_with_footer
+  public :: footer_length, footer_of, check_footer, check_discardable, copy_with_footer
 
   !> Length of the footer in bytes.
   integer, parameter :: footer_length = 512
@@ -126,6 +126,34 @@ contains
         exit_bad_input)
     end if
   end subroutine check_footer
+
+  !> Checks that `--overwrite` may remove a file: one that is empty, begins as HDF5 does or with zeros,
+  !> as a crash of the machine leaves it, or ends with a footer. A namelist, for instance, stays.
+  subroutine check_discardable(name, error)
+    !> Path of the file, which need not exist.
+    character(len=*), intent(in) :: name
+    !> It is something else; code `exit_bad_input`.
+    type(error_type), allocatable, intent(out) :: error
+    character(len=*), parameter :: signature = achar(137)//'HDF'//achar(13)//achar(10)//achar(26) &
+      //achar(10)
+    character(len=len(signature)) :: first
+    character(len=footer_length) :: last
+    integer(int64) :: bytes
+    integer :: unit, status
+
+    open (newunit=unit, file=name, access='stream', form='unformatted', action='read', &
+      status='old', iostat=status)
+    if (status /= 0) return
+    inquire (unit, size=bytes)
+    first = repeat(achar(0), len(first))
+    last = ''
+    if (bytes > 0) read (unit, iostat=status) first(:min(bytes, len(first, int64)))
+    if (bytes > footer_length) read (unit, pos=bytes - footer_length + 1, iostat=status) last
+    close (unit)
+    if (status == 0 .and. first /= signature .and. verify(first, achar(0)) /= 0 .and. &
+      index(last, first_line) /= 1) call fatal_error(error, name//' is not a results file, and is ' &
+      //'not discarded'//leave_it, exit_bad_input)
+  end subroutine check_discardable
 
   !> Length of a file according to HDF5's superblock.
   pure integer(int64) function end_in_hdf5(first) result(bytes)
