@@ -7,13 +7,13 @@ from pathlib import Path
 
 HERE = Path(__file__).parent
 # `import postproc` is for open_results; `from postproc import study` for Study
-DOORS = ("postproc.study", "postproc.figures.style")
+DOORS = ("studies.common", "postproc.figures.style")
 # theories that these compare with runs, and rungs of the ladder
 MORE = {
     "circulation": ("postproc.theory",),
     "circulation_and_densities": ("postproc.theory",),
     "entropy_production": ("postproc.theory",),
-    "experiments": ("postproc.accuracy.predictions", "postproc.theory"),
+    "experiments": ("postproc.advice.transients", "postproc.theory"),
     "fluctuations": ("postproc.theory",),
     "narrow_channels": ("postproc.theory",),
     "order_of_transition": ("postproc.theory",),

@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 import postproc
-from postproc import study
 from postproc.figures import style
+from studies.common import study
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 import postproc
-from postproc.study import Study
+from studies.common.study import Study
 from studies.lorentz import study as lorentz
 
 if TYPE_CHECKING:

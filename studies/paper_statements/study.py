@@ -20,13 +20,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import postproc
-from postproc import study
-from postproc.study.study import NAMELISTS
 from postproc.theory.circuit import Circuit, flow1
 from postproc.theory.gates import WINDOW
 from postproc.theory.renewal import RENEWAL
 from postproc.theory.states import stable_state
-from studies.event_log import mean_of_groups
+from studies.common import study
+from studies.common.event_log import mean_of_groups
+from studies.common.study import NAMELISTS
 from studies.experiments import study as experiments
 from studies.lorentz import study as lorentz
 from studies.shapes import study as shapes

@@ -13,10 +13,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 import postproc
-from postproc import study
 from postproc.figures import style
-from studies import event_log
-from studies.event_log import CROSSING2, Circuit, mean_of_groups
+from studies.common import event_log, study
+from studies.common.event_log import CROSSING2, Circuit, mean_of_groups
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

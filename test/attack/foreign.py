@@ -1,6 +1,6 @@
 """Results files of strangers: edits are drawn, the digest is made anew, and everything reads them.
 
-A larger namelist goes on with the file; `open_results`, `report`, `compare` and a figure read it,
+A larger namelist goes on with the file; `open_results`, `report` and a figure read it,
 in one process of Python. Each must end with exit 0, or with exit 2 and one line; no script gets
 into a page, no bytes of another file into anything, and 2 GiB of address space are enough.
 """
@@ -31,7 +31,6 @@ import numpy as np
 from support.program import namelist, run, start
 
 from postproc import cli, open_results, progress
-from postproc.compare import main as compare
 from postproc.figures.__main__ import main as figures
 from postproc.report.__main__ import main as report
 from postproc.tests.runs import edited
@@ -355,7 +354,6 @@ def in_python(folder: Path, figure: str) -> list[str]:
     found = [*opened_in_python(path)]
     out = ["--output", str(made)]
     found += called_in_python("report", report, [str(path), "--model", "window", *out])
-    found += called_in_python("compare", compare, [str(path), "--json"])
     found += called_in_python(f"figures {figure}", figures, [figure, str(path), *out])
     for page in made.glob("*.html") if made.is_dir() else ():
         text = page.read_text(encoding="utf-8")
