@@ -105,7 +105,7 @@ auto-executables = false
 auto-tests = false
 auto-examples = false
 link = ["gsl", "gslcblas"]
-external-modules = ["hdf5", "mpi_f08"]
+external-modules = ["hdf5", "h5ds", "mpi_f08"]
 [library]
 source-dir = "library"
 [[executable]]
@@ -273,7 +273,7 @@ build/generated/commit.h: FORCE | build/stamps/packages$(SUFFIX)
 	  rm -f $(OBJECTS)/battery/*commit.c.o* build/beside/*/$(OBJECTS)/*/*commit.c.o*
 	fi
 	# fpm keeps objects of sources that are gone or have moved.
-	sources=$$(find src app test/frozen $(wildcard studies) -name '*.[fF]90' -o -name '*.c' | sort | sha256sum)
+	sources=$$(find src app $(wildcard test/frozen studies) -name '*.[fF]90' -o -name '*.c' | sort | sha256sum)
 	if [[ "$$sources" != "$$(cat build/stamps/sources 2> /dev/null)" ]]; then
 	  rm -rf $(OBJECTS) build/beside build/test_package
 	  echo "$$sources" > build/stamps/sources

@@ -27,7 +27,8 @@ build/base-%/build/bin/bench: FORCE | libraries $(fpm)
 	$(MAKE) information
 	programs=studies/speed/programs
 	[[ -d $$programs ]] || programs=app
-	export FPM_FFLAGS="$(RELEASE_FLAGS)" FPM_LDFLAGS="$(RELEASE_LINK)"
+	# Up to version 0.1.0 a file that make writes is included.
+	export FPM_FFLAGS="$(RELEASE_FLAGS) -I$$PWD/build/generated" FPM_LDFLAGS="$(RELEASE_LINK)"
 	$(call beside,bench,commit-$*,$$programs,studies/common)
 
 $(PROCESSORS:%=build/%/bin/bench): build/%/bin/bench: FORCE | libraries $(fpm) information

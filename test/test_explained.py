@@ -1,4 +1,4 @@
-"""Public procedures of src and of app/one_particle are explained, each of their arguments, too."""
+"""Public procedures of src are explained, each of their arguments, too."""
 
 from __future__ import annotations
 
@@ -9,7 +9,6 @@ import pytest
 
 SOURCES = Path(__file__).resolve().parents[1]
 LAYERS = [f"src/{path.name}" for path in sorted((SOURCES / "src").iterdir()) if path.is_dir()]
-LAYERS.append("app/one_particle")
 START = re.compile(r"^  (?:\w[\w()=]* )*?(?:subroutine|function) (\w+)\((.*?)\)", re.MULTILINE)
 
 

@@ -80,11 +80,14 @@ def test_mpi_and_hdf5_have_one_layer_each() -> None:
 def test_nothing_knows_a_study() -> None:
     """A folder of studies may be deleted without a trace in the product."""
     known = re.compile(r"\bstudies[./]\w|^\s*(?:from|import) studies\b", re.MULTILINE)
-    for folder in ("src", "app", "postproc", "test"):
-        for path in (ROOT / folder).rglob("*"):
-            read = path.suffix in (".f90", ".F90", ".pf", ".c", ".py", ".txt")
-            if read and path != Path(__file__):
-                assert not known.search(path.read_text(encoding="utf-8")), path
+    paths = [path for folder in ("src", "app", "test", "namelists", "postproc", "packaging")
+             for path in (ROOT / folder).rglob("*")]  # fmt: skip
+    kinds = (".f90", ".F90", ".pf", ".c", ".py", ".txt", ".nml", ".csv", ".json")
+    for path in [*paths, ROOT / "test/run", ROOT / "fpm.toml", ROOT / "pyproject.toml"]:
+        if path.suffix in kinds or path.name == "run" and path.is_file():
+            assert path == Path(__file__) or not known.search(path.read_text("utf-8")), path
+    makefile = (ROOT / "Makefile").read_text(encoding="utf-8")
+    assert known.findall(makefile) == ["studies/t"]  # -include studies/targets.mk
 
 
 @pytest.mark.parametrize("tree", TREES)

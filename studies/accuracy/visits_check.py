@@ -22,8 +22,8 @@ from postproc import cli
 from postproc.theory import ports
 from postproc.theory.circuit import Circuit
 from postproc.theory.direction import transfer
-from postproc.theory.programs import FOLDER
 from postproc.theory.visits import visits
+from studies.common import study
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -59,7 +59,7 @@ def drawn(width1: float, width2: float, count: int) -> dict[str, Floats]:
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "visits.bin"
         words = ["visits", "disc", repr(width1), repr(width2), str(count), str(BITS), str(path)]
-        subprocess.run([FOLDER / "accuracy-real64", *words], check=True, stdout=subprocess.DEVNULL)
+        subprocess.run([study.ROOT / "build/bin/accuracy-real64", *words], check=True, stdout=subprocess.DEVNULL)
         found = np.fromfile(path).reshape(-1, 6)
     key = np.arange(1, count + 1, dtype=np.uint64)
     second = (width1 + width2) * hashed_uniform(key, 1) >= width1
@@ -125,7 +125,7 @@ def pair(text: str) -> tuple[float, float]:
 
 def main(arguments: list[str] | None = None) -> int:
     """Print a line for each integral and pair of widths."""
-    options = cli.parser("accuracy.visits_check", __doc__)
+    options = study.parser(__file__, __doc__)
     options.add_argument("count", metavar="COUNT", nargs="?", type=cli.integer(1), default=COUNT)
     options.add_argument("pairs", metavar="W1,W2", nargs="*", type=pair, default=PAIRS)
     given = options.parse_args(arguments)
