@@ -193,9 +193,13 @@ class Fences:
                 and not (folder / one.split(":")[0]).exists()]
 
     def _make(self, words: list[str]) -> list[str]:
-        makefile = (self.root / "Makefile").read_text()
+        text = (self.root / "Makefile").read_text()
+        included = [self.root / name for name in re.findall(r"^-include (\S+\.mk)$", text, re.MULTILINE)]
+        if not all(path.is_file() for path in included):
+            return []  # what is included may be deleted
+        text += "".join(path.read_text() for path in included)
         return [f"make has no {one}" for one in words
-                if "=" not in one and not re.search(rf"^{re.escape(one)}:", makefile, re.MULTILINE)]
+                if "=" not in one and not re.search(rf"^{re.escape(one)}:", text, re.MULTILINE)]
 
     def _module(self, words: list[str], folder: Path) -> list[str]:
         """Check options against the help of a module or of its subcommand."""

@@ -16,16 +16,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from postproc.advice.advice import HALFWAY
 from postproc.advice.transients import of_chi
 from postproc.reading.results import Results
 from studies.accuracy import ladder, ladder_map_figure
-from studies.accuracy.ladder import (
-    BATTERY,
-    HALFWAY,
-    LONGER,
-    QUANTITIES,
-    RUNGS,
-)
+from studies.accuracy.ladder import BATTERY, LONGER, QUANTITIES, RUNGS
 from studies.accuracy.ladder_errors import SURE, TOLERANCES, cancelling, cheapest
 from studies.common.text import number, percent, seconds
 

@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from postproc.advice.advice import HALFWAY
 from postproc.theory.circuit import Circuit
 from postproc.theory.models import MODELS
 from postproc.theory.states import State, Theory
@@ -65,7 +66,7 @@ def test_chi_and_current_over_chi_are_told_apart() -> None:
 def test_a_rung_without_the_state_is_off_and_has_no_current() -> None:
     truth = told(0.8, 5.0)
     none = replace(truth, chi=np.zeros(SIZE), current=np.full(SIZE, math.nan))
-    polarised = truth.chi > ladder.HALFWAY
+    polarised = truth.chi > HALFWAY
     found = ladder_map.compare(none, truth, "chi")
     assert found["bias"] == pytest.approx(np.sqrt(np.mean(truth.chi[polarised] ** 2)))
     assert ladder_map.compare(none, truth, "current")["missing"] == polarised.sum()

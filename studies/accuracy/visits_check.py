@@ -59,7 +59,8 @@ def drawn(width1: float, width2: float, count: int) -> dict[str, Floats]:
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "visits.bin"
         words = ["visits", "disc", repr(width1), repr(width2), str(count), str(BITS), str(path)]
-        subprocess.run([study.ROOT / "build/bin/accuracy-real64", *words], check=True, stdout=subprocess.DEVNULL)
+        program = study.ROOT / "build/bin/accuracy-real64"
+        subprocess.run([program, *words], check=True, stdout=subprocess.DEVNULL)
         found = np.fromfile(path).reshape(-1, 6)
     key = np.arange(1, count + 1, dtype=np.uint64)
     second = (width1 + width2) * hashed_uniform(key, 1) >= width1
