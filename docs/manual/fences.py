@@ -194,7 +194,8 @@ class Fences:
 
     def _make(self, words: list[str]) -> list[str]:
         text = (self.root / "Makefile").read_text()
-        included = [self.root / name for name in re.findall(r"^-include (\S+\.mk)$", text, re.MULTILINE)]
+        names = re.findall(r"^-include (\S+\.mk)$", text, re.MULTILINE)
+        included = [self.root / name for name in names]
         if not all(path.is_file() for path in included):
             return []  # what is included may be deleted
         text += "".join(path.read_text() for path in included)
