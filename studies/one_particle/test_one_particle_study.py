@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import subprocess
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -10,8 +11,6 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from postproc.accuracy import comp01_check
-from postproc.accuracy.comp01_check import HOLLOW, hollow, root_mean_square
 from postproc.cli import InputError
 from postproc.tests.commands import call
 from postproc.tests.runs import BARE, results_of
@@ -28,6 +27,9 @@ from postproc.theory.one_particle import (
 )
 from postproc.theory.renewal import RENEWAL
 from postproc.theory.states import stable_state
+from studies.common.study import ROOT
+from studies.one_particle import study as comp01
+from studies.one_particle.study import HOLLOW, hollow, root_mean_square
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -36,6 +38,13 @@ PAPER = Circuit(number=1000, threshold=7, channel2_width=0.0102)
 QUICK = Effort(copies=8, batches=4, transient=1000.0, duration=1500.0)
 FORGETFUL = replace(QUICK, transient=300.0, duration=700.0)
 UNLIKE = {"urn_radius": 0.9, "channel1_length": 1.3, "channel2_length": 0.6}
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _program() -> None:
+    command = ["make", "build/bin/one_particle"]
+    done = subprocess.run(command, cwd=ROOT, check=False, capture_output=True, text=True)
+    assert done.returncode == 0, done.stdout + done.stderr
 
 
 def test_well_mixed_gates_are_renewal_gates() -> None:
@@ -93,8 +102,8 @@ FEW = [(0.0102, 5), (0.0306, 13)]
 def test_it_meets_some_polarised_points_of_comp01() -> None:
     """At the paper's length; `test_it_meets_all_polarised_points_of_comp01` has the others."""
     effort = replace(QUICK, transient=3000.0, duration=2500.0)
-    few = [one for one in comp01_check.POINTS if (one.channel2_width, one.threshold) in FEW]
-    spread, current = root_mean_square([comp01_check.off(one, effort) for one in few])
+    few = [one for one in comp01.POINTS if (one.channel2_width, one.threshold) in FEW]
+    spread, current = root_mean_square([comp01.off(one, effort) for one in few])
     assert len(few) == len(FEW)
     assert spread < 0.005
     assert current < 0.03
@@ -102,10 +111,10 @@ def test_it_meets_some_polarised_points_of_comp01() -> None:
 
 def test_points_next_to_a_transition_are_told_by_the_distribution_of_chi() -> None:
     """Those that have no polarised state, and the next T; an even state has its mode at 0."""
-    points = comp01_check.POINTS
+    points = comp01.POINTS
     assert len(points) == 46
-    assert len(comp01_check.but_ends(points)) == 38
-    kept = comp01_check.inner(points)
+    assert len(comp01.but_ends(points)) == 38
+    kept = comp01.inner(points)
     assert len(kept) == 34
     assert {one.threshold for one in kept if one.channel2_width == 0.0612} == set(range(9, 14))
     random = np.random.default_rng(1)
@@ -118,8 +127,8 @@ def test_points_next_to_a_transition_are_told_by_the_distribution_of_chi() -> No
 @pytest.mark.full
 def test_it_meets_all_polarised_points_of_comp01() -> None:
     """The 34 that have a polarised state in runs, but the last ones before either transition."""
-    found = {one: comp01_check.off(one) for one in comp01_check.but_ends(comp01_check.POINTS)}
-    inner = comp01_check.inner(comp01_check.POINTS)
+    found = {one: comp01.off(one) for one in comp01.but_ends(comp01.POINTS)}
+    inner = comp01.inner(comp01.POINTS)
     assert np.isfinite(list(found.values())).all()
     spread, current = root_mean_square([found[one] for one in inner])
     assert spread < 0.005
