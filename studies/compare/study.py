@@ -1,12 +1,12 @@
 """Measures theories against runs: errors of chi and of the currents, and of the phase.
 
 Prints a table, or JSON with `--json`, for the theories of well mixed urns, by name: the paper's
-window, the renewal gate, and the renewal gate with particles in the channels counted. A point
-counts as polarised if chi exceeds 0.15. Differences of chi are taken at all points where the
-measurement is polarised, the same for every theory (of two stable states the nearer one is taken),
-and again at those of them on the side of the upper transition, where T is larger than at the
-largest chi; those of the net current where the theory is polarised too. For the single urn only its
-current is compared, relative to theory, where that exceeds a hundredth of the free current.
+window and the renewal gate. A point counts as polarised if chi exceeds 0.15. Differences of chi are
+taken at all points where the measurement is polarised, the same for every theory (of two stable
+states the nearer one is taken), and again at those of them on the side of the upper transition,
+where T is larger than at the largest chi; those of the net current where the theory is polarised
+too. For the single urn only its current is compared, relative to theory, where that exceeds a
+hundredth of the free current.
 
 Then, to find the origin of the rest, the four flows of polarised circuits, summed over points,
 relative to those of the theory at the measured spread: out of the dense and of the sparse urn,
@@ -43,6 +43,7 @@ if TYPE_CHECKING:
 
     Floats = NDArray[np.float64]
 
+THEORIES = ("window", "renewal")  # of well mixed urns
 POLARISED = 0.15
 FLOWS = ("dense1", "sparse1", "dense2", "sparse2")
 
@@ -169,7 +170,7 @@ def compare(files: Sequence[Results]) -> list[Comparison]:
     if len(shapes) > 1:
         raise cli.InputError("compare needs files of one shape, circuit or urn")
     chosen = compare_circuit if shapes == {"circuit"} else compare_urn
-    return [chosen(files, model) for model in MODELS.values() if model.mixed]
+    return [chosen(files, MODELS[name]) for name in THEORIES]
 
 
 
