@@ -64,26 +64,13 @@ VENV    := build/venv
 PYTHON  := $(VENV)/bin/python
 PROGRAM := $(BUILT)/bin/battery
 SOURCES := Makefile fpm.toml packaging/switches $(shell find src app -type f)
-# What commands of postproc ask.
-ASKED   := one_particle renewal_closure renewal_gate
 RANKS   := 2
 FULL    ?= 0
 
-# Runs behind the figures; quick ones have a tenth of the collisions (lifetimes take their time).
-CASES   := phase_diagram phase_diagram_polarised comp05 comp06 comp01 single_urn \
-           lifetimes_one lifetimes_two lifetimes_long_gate lifetimes_rare_one lifetimes_rare_long_gate
-FIGURES := build/figures/$(if $(filter-out 0,$(FULL)),full,quick)
-SHORTEN := $(if $(filter-out 0,$(FULL)),,s/(collisions *= *[0-9]+)0$$/\1/)
-# Planes of the one-channel model: quick ones have ten values of each key; with fewer collisions they
-# would still be what they were at the start.
-PLANES  := $(notdir $(wildcard namelists/one_channel/*.nml))
-COARSEN := $(if $(filter-out 0,$(FULL)),,s/, (50|19)$$/, 10/)
-
-.PHONY: help demo test cluster build bench probes accuracy experiments figures docs lint clean install prefix \
-        libraries information
+.PHONY: help demo test cluster build docs lint clean install prefix libraries information
 
 help: ## lists the targets
-	@sed -nE 's/^([a-z]+):[^#]*## (.*)/make \1\t\2/p' Makefile | expand -t 18
+	@sed -nE 's/^([a-z]+):[^#]*## (.*)/make \1\t\2/p' $(filter-out build/%,$(MAKEFILE_LIST)) | expand -t 18
 
 demo: build build/stamps/python ## builds, runs namelists/quickstart.nml on 2 ranks, draws the pictures
 	@mkdir -p build/demo
@@ -110,21 +97,9 @@ build: libraries $(fpm) information ## only builds: build/bin/battery; MPI=mpich
 	# fpm names each file that it copies.
 	flock build/.lock $(fpm) install --prefix $(BUILT) | sed '/^# /d'
 
-bench: build/bin/bench build/stamps/python ## the speed tables, JSON in build/bench; BASE=COMMIT: ratios to a commit of ours
-	@if [[ -n "$(BASE)" ]]; then
-	  commit=$$(git rev-parse --quiet --verify --short=10 "$(BASE)^{commit}") || {
-	    echo "BASE=$(BASE): no such commit of this repository" >&2
-	    exit 2
-	  }
-	  $(MAKE) build/base-$$commit/build/bin/bench
-	  exec $(PYTHON) -m postproc.benchmarks ratios build/base-$$commit/build/bin/bench
-	fi
-	if command -v valgrind > /dev/null; then $(MAKE) build/x86-64-v3/bin/bench; fi
-	$(PYTHON) -m postproc.benchmarks run
-
-# A program that measures: a package of its own, of the same sources, of which fpm compiles what is
-# used. fpm keeps a build for each set of flags.
-define PROBE_PACKAGE
+# A program beside battery, for tests and studies: a package of its own, of src and of the folders that
+# it names, of which fpm compiles what is used. fpm keeps a build for each set of flags.
+define BESIDE_PACKAGE
 name = "NAME"
 version = "0.1.0"
 [build]
@@ -132,49 +107,39 @@ auto-executables = false
 auto-tests = false
 auto-examples = false
 link = ["gsl", "gslcblas"]
-external-modules = ["hdf5", "mpi_f08"]
+external-modules = ["hdf5", "h5ds", "mpi_f08"]
 [library]
-source-dir = "../../../src"
+source-dir = "library"
 [[executable]]
 name = "NAME"
-source-dir = "../../../app"
+source-dir = "program"
 main = "NAME.f90"
 endef
-export PROBE_PACKAGE
+export BESIDE_PACKAGE
 
-# $(call probe,NAME,VARIANT): its build from the sources of this folder, with the flags of the
-# environment.
-define probe
+# $(call beside,NAME,VARIANT,FOLDER,MODULES): the build of FOLDER/NAME.f90, with modules of that folder
+# and of the folder MODULES (may be left out), with the flags of the environment.
+define beside
 echo "Building $1 for $2"
-mkdir -p build/probe/$1/$2 $(CURDIR)/$(@D)
-echo "$${PROBE_PACKAGE//NAME/$1}" > build/probe/$1/fpm.toml
-cd build/probe/$1
+mkdir -p build/beside/$1/library build/beside/$1/$2 $(CURDIR)/$(@D)
+echo "$${BESIDE_PACKAGE//NAME/$1}" > build/beside/$1/fpm.toml
+cd build/beside/$1
+ln -sfn ../../../$3 program
+ln -sfn ../../../../src library/src
+$(if $4,ln -sfn ../../../../$4 library/modules)
 flock .lock $(fpm) install --prefix $2 > $2/log 2>&1 || { cat $2/log; exit 1; }
 install $2/bin/$1 $(CURDIR)/$@
 endef
 
-build/bin/bench: FORCE | libraries $(fpm) information
-	@export FPM_FFLAGS="$(RELEASE_FLAGS)" FPM_LDFLAGS="$(RELEASE_LINK)"
-	$(call probe,bench,$(MARCH))
-
-# An earlier commit, in a clone of its own, built with the present switches.
-build/base-%/build/bin/bench: FORCE | libraries $(fpm)
-	@[[ -d build/base-$* ]] || git clone --quiet --shared --no-checkout . build/base-$*
-	cd build/base-$*
-	git checkout --quiet $*
-	$(MAKE) information
-	export FPM_FFLAGS="$(RELEASE_FLAGS)" FPM_LDFLAGS="$(RELEASE_LINK)"
-	$(call probe,bench,commit-$*)
+# What freezes answers anew (test/frozen/freeze.py): the events of a run in one precision.
+build/bin/events-real%: FORCE | libraries $(fpm) information
+	@export FPM_FFLAGS="$(RELEASE_FLAGS) -DBATTERY_REAL$*" FPM_LDFLAGS="-flto=auto"
+	$(call beside,events,real$*,test/frozen)
 
 FORCE:
 
 # For processors that are named: callgrind knows no AVX-512, and there are promises about both.
 PROCESSORS := x86-64-v3 x86-64-v4
-
-$(PROCESSORS:%=build/%/bin/bench): build/%/bin/bench: FORCE | libraries $(fpm) information
-	@export FPM_FFLAGS="$(subst -march=$(MARCH),-march=$*,$(RELEASE_FLAGS))"
-	export FPM_LDFLAGS="$(RELEASE_LINK)"
-	$(call probe,bench,$*)
 
 $(PROCESSORS:%=build/%/bin/battery): build/%/bin/battery: FORCE | libraries $(fpm) information
 	@mkdir -p build/$*
@@ -184,46 +149,8 @@ $(PROCESSORS:%=build/%/bin/battery): build/%/bin/battery: FORCE | libraries $(fp
 	flock build/.lock $(fpm) install --prefix build/$* > build/$*/log 2>&1 || \
 	  { cat build/$*/log; exit 1; }
 
-# The physics in single, double and quadruple precision, and the program that asks it questions.
-PRECISIONS := real32 real64 real128
-
-probes: build $(PRECISIONS:%=build/bin/accuracy-%)
-
-$(PRECISIONS:%=build/bin/accuracy-%): build/bin/accuracy-real%: FORCE | libraries $(fpm) information
-	@export FPM_FFLAGS="$(RELEASE_FLAGS) -DBATTERY_REAL$*" FPM_LDFLAGS="-flto=auto"
-	$(call probe,accuracy,real$*)
-
-accuracy: build probes build/stamps/python ## the speed-accuracy charts and the stability tables; FULL=1: long runs
-	@$(PYTHON) -m postproc.accuracy --ranks $(RANKS) $(if $(filter-out 0,$(FULL)),--full)
-	for study in trajectories gated_reversal; do
-	  $(PYTHON) -m studies.$$study.study --ranks $(RANKS) $(if $(filter-out 0,$(FULL)),--full)
-	done
-
-experiments: build build/stamps/python ## five experiments that decide whether urns remember; FULL=1: long runs
-	@$(PYTHON) -m studies.experiments.study --ranks $(RANKS) $(if $(filter-out 0,$(FULL)),--full)
-
-figures: build build/stamps/python ## every figure of the paper, quick; FULL=1: at the paper's own length
-	@mkdir -p $(FIGURES)
-	cd $(FIGURES)
-	for case in $(CASES); do
-	  sed -E '$(SHORTEN)' $(CURDIR)/namelists/$$case.nml > $$case.nml
-	  mpirun -n $(RANKS) $(CURDIR)/$(PROGRAM) $$case.nml
-	done
-	for plane in $(PLANES); do
-	  sed -E '$(COARSEN)' $(CURDIR)/namelists/one_channel/$$plane > one_channel_$$plane
-	  mpirun -n $(RANKS) $(CURDIR)/$(PROGRAM) --quiet one_channel_$$plane
-	done
-	cd $(CURDIR)
-	figure() { $(PYTHON) -m postproc.figures "$$1" "$${@:2}" --output $(FIGURES); }
-	figure model
-	figure app1
-	figure numris $(FIGURES)/phase_diagram.h5 $(FIGURES)/phase_diagram_polarised.h5 \
-	  --model window renewal_occupation direction
-	for name in comp05 comp06 comp01; do figure $$name $(FIGURES)/$$name.h5; done
-	for name in app2 app3 app4; do figure $$name $(FIGURES)/single_urn.h5; done
-	figure lifetimes $(FIGURES)/lifetimes_{one,two,long_gate,rare_one,rare_long_gate}.h5
-	figure one_channel $(FIGURES)/one_channel_*.h5
-	echo "The figures are in $(FIGURES)"
+# Targets of the studies, where these are there.
+-include studies/targets.mk
 
 docs: build build/stamps/docs ## the manual: build/site/index.html opens from disk, with search and formulas
 	@PYTHONPATH=docs:. PATH="$(CURDIR)/$(VENV)/bin:$$PATH" nice $(PYTHON) -m manual
@@ -234,9 +161,9 @@ build/stamps/docs: docs/requirements.txt build/stamps/python
 	touch $@
 
 lint: build/stamps/python ## style of the Fortran and the Python sources
-	@$(VENV)/bin/fortitude check --output-format concise src app test docs
-	$(VENV)/bin/ruff check --config postproc/ruff.toml postproc test docs studies
-	$(VENV)/bin/ruff format --check --config postproc/ruff.toml postproc test docs studies
+	@$(VENV)/bin/fortitude check --output-format concise src app test docs $(wildcard studies)
+	$(VENV)/bin/ruff check --config postproc/ruff.toml postproc test docs $(wildcard studies)
+	$(VENV)/bin/ruff format --check --config postproc/ruff.toml postproc test docs $(wildcard studies)
 
 install: prefix information $(PROGRAM) ## program, library, man page, module file, Python side (not: POSTPROC=0) into PREFIX (default: /usr/local)
 	@prefix=$$(realpath -m -- "$(PREFIX)")
@@ -258,7 +185,6 @@ install: prefix information $(PROGRAM) ## program, library, man page, module fil
 	echo "battery is in $$prefix/bin; battery --self-test says whether it works"
 	[[ "$(POSTPROC)" != 0 ]] || exit 0
 	python3 -m venv "$$prefix/lib/battery"
-	install $(ASKED:%=$(BUILT)/bin/%) "$$prefix/lib/battery/bin"
 	"$$prefix/lib/battery/bin/python" -m pip install --quiet --disable-pip-version-check \
 	  --upgrade --constraint postproc/requirements.txt '.[report,film]'
 	ln -sf ../lib/battery/bin/battery-postproc "$$prefix/bin"
@@ -347,16 +273,16 @@ build/generated/commit.h: FORCE | build/stamps/packages$(SUFFIX)
 	# To another user, as root for whom make install is called, git may say nothing.
 	if [[ "$$new" != "$$(cat $@ 2> /dev/null)" && ! ( $$commit == unknown && -e .git && -e $@ ) ]]; then
 	  echo "$$new" > $@
-	  rm -f $(OBJECTS)/battery/*commit.c.o* build/probe/*/$(OBJECTS)/*/*commit.c.o*
+	  rm -f $(OBJECTS)/battery/*commit.c.o* build/beside/*/$(OBJECTS)/*/*commit.c.o*
 	fi
 	# fpm keeps objects of sources that are gone or have moved.
-	sources=$$(find src app -name '*.[fF]90' -o -name '*.c' | sort | sha256sum)
+	sources=$$(find src app $(wildcard test/frozen studies) -name '*.[fF]90' -o -name '*.c' | sort | sha256sum)
 	if [[ "$$sources" != "$$(cat build/stamps/sources 2> /dev/null)" ]]; then
-	  rm -rf $(OBJECTS) build/probe build/test_package
+	  rm -rf $(OBJECTS) build/beside build/test_package
 	  echo "$$sources" > build/stamps/sources
 	fi
 	processor=$$({ $(MPIFC) --version; $(MPIFC) -march=$(MARCH) -Q --help=target; } | sha256sum)
 	if [[ "$$processor" != "$$(cat build/stamps/processor$(SUFFIX) 2> /dev/null)" ]]; then
-	  rm -rf $(OBJECTS) build/probe
+	  rm -rf $(OBJECTS) build/beside
 	  echo "$$processor" > build/stamps/processor$(SUFFIX)
 	fi

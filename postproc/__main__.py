@@ -14,10 +14,7 @@ from pathlib import Path
 
 from postproc import __version__, cli
 
-# Commands that start the program, as postproc.run does, and commands that call all programs of
-# `make build`, in a checkout.
-STARTING = ("advise",)
-NEED_PROGRAM = ("accuracy", "benchmarks", "renewal_fit", "scaling")
+STARTING = ("advise",)  # commands that start the program, as postproc.run does
 PLACE = Path(__file__).resolve().parent
 
 
@@ -48,16 +45,15 @@ def commands() -> dict[str, str]:
 
 def description(found: dict[str, str]) -> str:
     """Return a line for each command: the first line of its docstring."""
-    lines: dict[bool | None, list[str]] = {True: [], False: [], None: []}
+    lines: dict[bool, list[str]] = {True: [], False: []}
     for name, module in found.items():
         path = PLACE.joinpath(*module.split(".")[1:]).with_suffix(".py")
         summary = (ast.get_docstring(_tree(path)) or "").split("\n", 1)[0]
-        lines[None if name in STARTING else name in NEED_PROGRAM].append(f"  {name:12s} {summary}")
+        lines[name in STARTING].append(f"  {name:12s} {summary}")
     return "\n".join([
         "Results, theory, figures, film and report of the program battery.",
         "", "Without the program, from results files or none:", *lines[False],
-        "", "With the program, which they start (BATTERY_PROGRAM, or on the PATH):", *lines[None],
-        "", "With programs that `make build` makes, in a checkout:", *lines[True],
+        "", "With the program, which they start (BATTERY_PROGRAM, or on the PATH):", *lines[True],
         "", "NAME --help explains one. In Python, postproc.open_results reads a results file;",
         "postproc.run starts the program.",
     ])  # fmt: skip

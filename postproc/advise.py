@@ -22,14 +22,14 @@ from typing import TYPE_CHECKING
 import f90nml
 
 from postproc import cli
-from postproc.accuracy.advice import QUANTITIES, advise, table_of
+from postproc.advice.advice import QUANTITIES, advise, table_of
 from postproc.theory.circuit import Circuit
 from postproc.theory.options import circuit_options, given_circuit
 
 if TYPE_CHECKING:
     import argparse
 
-    from postproc.accuracy.advice import Advice, Groups
+    from postproc.advice.advice import Advice, Groups
 
 KNOWN = {
     "table": ("urn_radius", "channel1_width", "channel1_length", "channel2_width",

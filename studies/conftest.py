@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from postproc.study import study
 from postproc.theory import __main__ as theory
+from studies.common import study
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence

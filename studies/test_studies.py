@@ -3,18 +3,27 @@
 from __future__ import annotations
 
 import ast
+import re
 from pathlib import Path
 
 HERE = Path(__file__).parent
-# `import postproc` is for open_results; `from postproc import study` for Study
-DOORS = ("postproc.study", "postproc.figures.style")
+# `import postproc` is for open_results
+DOORS = ("postproc.figures.style",)
 # theories that these compare with runs, and rungs of the ladder
+WHOLE = ("postproc.cli", "postproc.launcher", "postproc.reading", "postproc.running",
+         "postproc.theory")
 MORE = {
+    "accuracy": ("postproc.advice", *WHOLE),
+    "common": WHOLE,
+    "compare": ("postproc.report.data", "postproc.progress", *WHOLE),
+    "mixing": ("postproc.figures.passages", *WHOLE),
+    "one_particle": WHOLE,
+    "renewal_gate": WHOLE,
+    "speed": WHOLE,
     "circulation": ("postproc.theory",),
-    "experiments": ("postproc.accuracy.predictions", "postproc.theory"),
+    "experiments": ("postproc.advice.transients", "postproc.theory"),
     "narrow_channels": ("postproc.theory",),
     "paper_statements": ("postproc.theory",),
-    "where_models_fail": ("postproc.accuracy", "postproc.theory"),
 }
 
 
@@ -31,7 +40,7 @@ def used(path: Path) -> set[str]:
 
 def test_studies_use_the_doors_of_the_product() -> None:
     for path in HERE.rglob("*.py"):
-        if path.name.startswith("test_") or path.name == "conftest.py":
+        if path.name.startswith("test_") or path.name in ("conftest.py", "probing.py"):
             continue
         doors = (*DOORS, *MORE.get(path.relative_to(HERE).parts[0], ()))
         ways = tuple(f"{one}." for one in doors)
@@ -43,3 +52,12 @@ def test_every_study_has_a_script_and_a_page() -> None:
         if path.name != "common" and any(path.glob("*.py")):
             assert (path / "study.py").is_file(), path
             assert (path / "README.md").is_file(), path
+
+
+def test_no_study_knows_another() -> None:
+    """What two of them need is in studies/common."""
+    for path in HERE.rglob("*.py"):
+        own = path.relative_to(HERE).parts[0]
+        known = re.findall(r"^\s*(?:from|import) studies\.(\w+)", path.read_text(), re.MULTILINE)
+        assert set(known) <= {own, "common"}, path
+        assert not re.search(r"^\s*from studies import", path.read_text(), re.MULTILINE), path

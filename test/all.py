@@ -20,6 +20,8 @@ ROOT = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(ROOT))
 from postproc.launcher import SHARED_CORES  # noqa: E402
 
+# A folder that may be deleted.
+STUDIES = ["studies"] if (ROOT / "studies").is_dir() else []
 TOOLS = ROOT / "build/venv/bin"
 ENVIRONMENT = {
     **os.environ,
@@ -60,7 +62,7 @@ def parts(arguments: argparse.Namespace) -> list[Part]:
     release = [f"--library={arguments.built}", f"--library-flags={arguments.release}",
                f"--library-ldflags={arguments.release_link}"]
     ruff = str(TOOLS / "ruff")
-    sources = ["--config", "postproc/ruff.toml", "postproc", "test", "docs", "studies"]
+    sources = ["--config", "postproc/ruff.toml", "postproc", "test", "docs", *STUDIES]
     # A file goes to one worker, so that what its tests share is made once.
     python = [sys.executable, "-m", "pytest", "-q", "-n", WORKERS, "--dist", "loadfile"]
     if not arguments.full:
@@ -70,7 +72,7 @@ def parts(arguments: argparse.Namespace) -> list[Part]:
                    [*fortran, "release", "--physics", "--compiler", flang])] if flang else []
     if arguments.full and not flang:
         print("no flang is installed: its part of the tests is left out")
-    folders = ("src", "app", "test", "docs")
+    folders = ("src", "app", "test", "docs", *STUDIES)
     folders = [name for name in folders if any((ROOT / name).rglob("*.[fF]90"))]
     return [
         Part(
@@ -84,7 +86,7 @@ def parts(arguments: argparse.Namespace) -> list[Part]:
              [*debug, *release]) if arguments.full
         else Part("Fortran, debug build with traps", debug),
         *second,
-        Part("Python", [*python, "postproc", "test", "studies"]),
+        Part("Python", [*python, "postproc", "test", *STUDIES]),
     ]
 
 

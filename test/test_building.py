@@ -120,3 +120,18 @@ def test_what_does_not_work_is_forgotten(tmp_path: Path) -> None:
     for wrong in ("FPM=true", f"FPM={tmp_path}/no_fpm"):
         assert f"fpm 0.12: {wrong} is none" in make(wrong).stderr
         assert not make().returncode
+
+
+@pytest.mark.full
+def test_the_product_does_without_studies(tmp_path: Path) -> None:
+    """In a copy without that folder the demo runs, the pages are made, and all tests pass."""
+    place = tmp_path / "battery"
+    left = shutil.ignore_patterns("build", "studies", ".git", "__pycache__")
+    shutil.copytree(ROOT, place, ignore=left)
+    shutil.copytree(ROOT / "build/stamps", place / "build/stamps")
+    (place / "build/venv").symlink_to(ROOT / "build/venv")
+    outside = {key: value for key, value in ENVIRONMENT.items() if not key.startswith("MAKE")}
+    for target in ("demo", "docs", "test"):
+        ended = subprocess.run(["make", target], cwd=place, env=outside, text=True, check=False,
+                               capture_output=True)  # fmt: skip
+        assert ended.returncode == 0, (ended.stdout + ended.stderr)[-4000:]

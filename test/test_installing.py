@@ -53,13 +53,11 @@ def test_the_command_has_every_script() -> None:
         if 'if __name__ == "__main__":' in path.read_text(encoding="utf-8")
     }
     assert set(found) == scripts - {"postproc"}
-    assert set(command.NEED_PROGRAM) < set(found)
     told = command.description(found)
-    without, starting, needing = re.split("With the program|With programs", told)
+    without, starting = told.split("With the program")
     for name in found:
         place = starting if name in command.STARTING else without
-        assert re.search(rf"^  {name} +\S", needing if name in command.NEED_PROGRAM else place,
-                         re.MULTILINE)  # fmt: skip
+        assert re.search(rf"^  {name} +\S", place, re.MULTILINE)
 
 
 @cache
@@ -86,12 +84,11 @@ def reached(module: str) -> set[str]:
 
 
 def test_what_is_said_to_need_no_program_starts_none() -> None:
-    """A theory of walkers asks their program, and says so where it is not there."""
     for name, module in command.commands().items():
         starts = reached(module) & {"postproc.running", "postproc.launcher"}
         if name in command.STARTING:
             assert "postproc.running" in starts, name
-        elif name not in command.NEED_PROGRAM:
+        else:
             assert not starts, name
 
 
@@ -219,9 +216,6 @@ def test_an_installed_battery_needs_no_checkout(tmp_path: Path) -> None:
     assert "mass_spread" in call(
         postproc, "theory", "--number", "1000", "--threshold", "7", folder=tmp_path
     ).stdout  # fmt: skip
-    asked = ["theory", "--number", "20", "--threshold", "3", "--model", "one_particle"]
-    walked = call(postproc, *asked, folder=tmp_path)
-    assert '"homogeneous"' in walked.stdout, walked.stderr
     assert "usage: battery-postproc theory" in call(
         postproc, "theory", "--help", folder=tmp_path
     ).stdout  # fmt: skip
@@ -235,8 +229,8 @@ def test_an_installed_battery_needs_no_checkout(tmp_path: Path) -> None:
     assert (ran.stdout, ran.returncode) == ("1\n", 0), ran.stderr
     drawn = call(postproc, "report", "battery.h5", folder=tmp_path)
     assert drawn.returncode == 0, drawn.stderr
-    refused = call(postproc, "benchmarks", "run", folder=tmp_path)
-    assert refused.returncode == 2
-    told = r"error: .*bench: no such program \(make bench builds it\)\n"
-    assert re.fullmatch(told, refused.stderr)
+    assert sorted(path.name for path in (prefix / "bin").iterdir()) == [
+        "battery", "battery-postproc",
+    ]  # fmt: skip
+    assert not list((prefix / "lib/battery/bin").glob("renewal_*"))
     assert os.access(postproc, os.X_OK)

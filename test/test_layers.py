@@ -79,12 +79,14 @@ def test_mpi_and_hdf5_have_one_layer_each() -> None:
 
 def test_nothing_knows_a_study() -> None:
     """A folder of studies may be deleted without a trace in the product."""
-    known = re.compile(r"\bstudies[./]\w|^\s*(?:from|import) studies\b", re.MULTILINE)
-    for folder in ("src", "app", "postproc", "test"):
-        for path in (ROOT / folder).rglob("*"):
-            read = path.suffix in (".f90", ".F90", ".pf", ".c", ".py", ".txt")
-            if read and path != Path(__file__):
-                assert not known.search(path.read_text(encoding="utf-8")), path
+    names = "|".join(path.name for path in (ROOT / "studies").glob("*/"))
+    named = rf"\bstudies[./]({names or 'x'})\b"
+    known = re.compile(rf"{named}|^\s*(from|import) studies\b", re.MULTILINE)
+    kinds = {".f90", ".F90", ".pf", ".c", ".py", ".txt", ".nml", ".csv", ".json"}
+    folders = ("src", "app", "test", "namelists", "postproc", "packaging")
+    paths = [path for name in folders for path in (ROOT / name).rglob("*") if path.suffix in kinds]
+    for path in [*paths, *(ROOT / name for name in ("test/run", "Makefile", "fpm.toml"))]:
+        assert not known.search(path.read_text(encoding="utf-8")), path
 
 
 @pytest.mark.parametrize("tree", TREES)

@@ -204,12 +204,14 @@ class Fences:
         ]
 
     def _make(self, words: list[str]) -> list[str]:
-        makefile = (self.root / "Makefile").read_text()
-        return [
-            f"make has no {one}"
-            for one in words
-            if "=" not in one and not re.search(rf"^{re.escape(one)}:", makefile, re.MULTILINE)
-        ]
+        text = (self.root / "Makefile").read_text()
+        names = re.findall(r"^-include (\S+\.mk)$", text, re.MULTILINE)
+        included = [self.root / name for name in names]
+        if not all(path.is_file() for path in included):
+            return []  # what is included may be deleted
+        text += "".join(path.read_text() for path in included)
+        return [f"make has no {one}" for one in words
+                if "=" not in one and not re.search(rf"^{re.escape(one)}:", text, re.MULTILINE)]
 
     def _module(self, words: list[str], folder: Path) -> list[str]:
         """Check options against the help of a module or of its subcommand."""

@@ -15,7 +15,6 @@ from postproc.cli import InputError
 from postproc.figures.maps import edges
 from postproc.progress import each
 from postproc.reading.points import gather
-from postproc.report.compare import expected_state
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -23,6 +22,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from postproc.reading.results import Results
+    from postproc.theory.circuit import Circuit
     from postproc.theory.model import Model
 
     Floats = NDArray[np.float64]
@@ -38,6 +38,21 @@ WIDTH = "channel2_width"
 MEASURED = {"chi": "mass spread chi", "current": "net current"}
 SAMPLES = (20, 300)  # least and most samples of a series on the page
 ROOM = 250_000  # samples of all series together
+
+
+def expected_state(model: Model, circuit: Circuit, chi: float) -> tuple[float, float]:
+    """Return chi and net current of a theory's stable state nearest to the measured chi.
+
+    NaN if it has none.
+    """
+    choices = [
+        (state.mass_spread, state.net_current)
+        for state in model.states(circuit)
+        if state.kind == "stable"
+    ]
+    if model.homogeneous_kind(circuit) != "unstable":
+        choices.append((0.0, 0.0))
+    return min(choices, key=lambda one: abs(one[0] - chi), default=(math.nan, math.nan))
 
 
 @dataclass(frozen=True)

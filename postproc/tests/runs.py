@@ -10,7 +10,7 @@ import h5py
 import numpy as np
 
 from postproc.reading.seal import seal_of
-from postproc.study.study import Study
+from postproc.running import run
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -31,7 +31,9 @@ BARE = {"series_interval": 0.0, "snapshot_times": None}
 
 def results_of(path: Path, **groups: dict[str, object]) -> Path:
     """Run `CASE` with some keys changed (None: left out), its results in `path`; return that."""
-    return Study(path.parent).run(CASE, path.stem, groups, alone=True)
+    given = {name: {**CASE.get(name, {}), **groups.get(name, {})} for name in {**CASE, **groups}}
+    given["output"]["file"] = path.name
+    return run(given, folder=path.parent, quiet=True)
 
 
 @contextmanager

@@ -12,9 +12,8 @@ import pytest
 from postproc.tests.commands import call
 from postproc.tests.runs import BARE, leave_out, results_of
 
-READERS = [["currents"], ["scene"], ["report"], ["compare"], ["mixing"], ["renewal_fit", "--data"]]
+READERS = [["currents"], ["scene"], ["report"]]
 READERS += [["figures", name] for name in ("numris", "comp05", "app2", "lifetimes")]
-READERS += [["benchmarks", "compare", os.devnull]]
 ROOT = Path(__file__).resolve().parents[2]
 MODULES = [
     ".".join(path.relative_to(ROOT / "postproc").with_suffix("").parts).removesuffix(".__main__")
@@ -98,10 +97,9 @@ ODD: dict[str, dict[str, dict[str, object]]] = {
     "bare": {"output": BARE},
 }
 WINDOW = "--model=window"  # of the theories of a figure's own choice one takes seconds
-QUICK = [(["mixing"], "*"), (["renewal_fit", "--data"], "*")]
-QUICK += [(["scene"], "one"), (["figures", "comp01"], "one")]
+QUICK = [(["scene"], "one"), (["figures", "comp01"], "one")]
 QUICK += [(["figures", WINDOW, "lifetimes"], "map")]
-SLOW = [["scene"], ["currents"], ["report"], ["compare"]]
+SLOW = [["scene"], ["currents"], ["report"]]
 SLOW += [["figures", name] for name in ("numris", "comp01", "comp05", "comp06", "app1", "app2")]
 SLOW += [["figures", name] for name in ("lifetimes", "circuits", "model")]
 
@@ -161,13 +159,6 @@ def test_unusual_circuits_have_an_answer(
     for circuit in circuits:
         number, threshold, *rest = circuit.split()
         assert_answered([*command, "--number", number, "--threshold", threshold, *rest], capsys)
-
-
-@pytest.mark.parametrize("option", ["ranks", "tasks", "seconds", "service", "seed", "spread"])
-@pytest.mark.parametrize("value", ["-1", "nan", "inf", "1e300", "99999999999999999999", "x"])
-def test_numbers_without_sense(option: str, value: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert call("scheduler", ["--ranks=10", "--tasks=100", f"--{option}={value}"]) == 2
-    assert capsys.readouterr().err.count("\n") == 1
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full here")

@@ -161,7 +161,7 @@ def test_error_lines_have_no_escape_sequences(
 ) -> None:
     with edited(theirs) as file:
         file.attrs["version"] = "\x1b]0;owned\x07"
-    assert call("compare", [str(theirs)]) == 2
+    assert call("report", [str(theirs)]) == 2
     said = capsys.readouterr().err
     assert "\\x1b]0;owned\\x07" in said
     assert said.isascii()

@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-import json
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
 
-from postproc.accuracy import ladder_map_figure, observables
 from postproc.figures import appendix, circuits, maps, one_channel, passages
 from postproc.figures.models import named
 from postproc.reading.results import opened
@@ -16,18 +13,10 @@ from postproc.tests.looks import assert_looks_apart
 from postproc.tests.runs import BARE, results_of
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from pathlib import Path
 
-    from matplotlib.figure import Figure
-
-HERE = Path(__file__).parent
-KEPT = json.loads((HERE / "accuracy_numbers.json").read_text())
 MIXED = named(["window", "renewal", "renewal_occupation"])
 SHORT = {"duration": 100.0}
-TOLD: dict[str, Callable[[], Figure]] = {
-    "observables": lambda: observables.figure_observables(KEPT["observables"]["rows"]),
-    "ladder_map": lambda: ladder_map_figure.figure(KEPT["ladder_map"]["rows"]),
-}
 DRAWN = {
     "comp01": (circuits.figure_comp01, "circuit", MIXED),
     "numris": (maps.figure_numris, "circuit", MIXED),
@@ -54,12 +43,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return made
 
 
-@pytest.mark.parametrize("name", [*TOLD, *DRAWN])
+@pytest.mark.parametrize("name", DRAWN)
 def test_no_two_entries_of_a_legend_look_alike(name: str, folder: Path) -> None:
-    if name in TOLD:
-        made = TOLD[name]()
-    else:
-        draw, file, models = DRAWN[name]
-        with opened([folder / f"{file}.h5"]) as files:
-            made = draw(files, models)
-    assert_looks_apart(made)
+    draw, file, models = DRAWN[name]
+    with opened([folder / f"{file}.h5"]) as files:
+        assert_looks_apart(draw(files, models))

@@ -11,10 +11,9 @@ from pathlib import Path
 
 import pytest
 
-from postproc.accuracy import advice, ladder, ladder_errors, observables
-from postproc.figures import style
+from postproc.advice import advice
 from postproc.figures.models import add_models
-from postproc.report import compare
+from postproc.report import data
 from postproc.tests.commands import call
 from postproc.theory import programs
 from postproc.theory.circuit import Circuit
@@ -34,8 +33,9 @@ def twin(monkeypatch: pytest.MonkeyPatch) -> Model:
     return TWIN
 
 
+@pytest.mark.usefixtures("twin")
 def test_a_theory_that_is_added_to_the_list_is_known_everywhere(
-    twin: Model, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     assert call("theory", [*WORDS, "--tricritical"]) == 0
     told = json.loads(capsys.readouterr().out)
@@ -44,10 +44,6 @@ def test_a_theory_that_is_added_to_the_list_is_known_everywhere(
     options = argparse.ArgumentParser()
     add_models(options)
     assert options.parse_args(["--model", "twin"]).model == ["twin"]
-    assert twin in ladder.theories(drawing=False)
-    assert ladder.label("twin") == "the twin"
-    assert observables.look({"name": "twin"}) == (twin.mark, style.SKY)
-    assert ("window", "renewal", "twin") in ladder_errors.families()
     asked = []
     monkeypatch.setattr(
         advice, "theory_says", lambda _, model, *__: asked.append(model.name) or (math.nan, 0.0)
@@ -62,8 +58,7 @@ def test_a_theory_that_is_added_to_the_list_is_known_everywhere(
 def test_no_other_module_lists_theories() -> None:
     """Nowhere do most of their names, or of their labels, stand in one list, dictionary or call."""
     known = [set(MODELS), {model.label for model in MODELS.values()}]
-    paths = [*(ROOT / "postproc").rglob("*.py"), *(ROOT / "studies").rglob("*.py")]
-    for path in paths:
+    for path in (ROOT / "postproc").rglob("*.py"):
         inside = path.relative_to(ROOT).parts
         if "tests" in inside or inside[-2:] == ("theory", "models.py"):
             continue
@@ -82,7 +77,7 @@ def test_the_page_tells_which_to_use_when() -> None:
 def test_each_theory_looks_and_is_called_unlike_the_others() -> None:
     assert all(name == model.name for name, model in MODELS.items())
     assert len({model.label for model in MODELS.values()}) == len(MODELS)
-    assert len({observables.look({"name": name}) for name in MODELS}) == len(MODELS)
+    assert len({(model.mark, model.colour) for model in MODELS.values()}) == len(MODELS)
 
 
 def test_what_a_theory_refuses_is_said_before_it_is_asked(
@@ -108,6 +103,6 @@ def test_lifetimes_are_not_those_of_another_theory(capsys: pytest.CaptureFixture
 def test_a_measured_point_is_held_against_the_theory_that_is_named() -> None:
     """Of urns that remember it is not the balance of the same gates between mixed urns."""
     circuit = Circuit(1000, 7)
-    assert compare.expected_state(MODELS["two_port"], circuit, 0.93)[0] == pytest.approx(
+    assert data.expected_state(MODELS["two_port"], circuit, 0.93)[0] == pytest.approx(
         MODELS["two_port"].solve_stable(circuit)[-1].mass_spread
     )

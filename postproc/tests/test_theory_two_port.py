@@ -21,7 +21,7 @@ PAPER = Circuit(1000, 7, gate=RENEWAL, occupation=True)
 # w', I/(G0 chi N) over both maps of Fig. numris (chi > 0.5, T >= 6), about +- 0.01
 CONDUCTANCES = ((0.004, 1.043), (0.010, 1.080), (0.020, 1.127), (0.032, 1.164),
                 (0.046, 1.181), (0.062, 1.188), (0.073, 1.189))  # fmt: skip
-# w and w', then a, t1 and t2 of 4e6 drawn visits and their errors: postproc.accuracy.visits_check
+# w and w', then a, t1 and t2 of 4e6 drawn visits and their errors: the study of accuracy
 Pair = tuple[float, float]
 DRAWN = (
     ((0.3, 0.01), (0.0128768, 3.1e-4), (31.7244, 0.022), (34.4281, 0.39)),

@@ -14,8 +14,7 @@ from scipy import optimize
 from postproc.tests.commands import call
 from postproc.theory.circuit import Circuit, transition_width
 from postproc.theory.gates import WINDOW
-from postproc.theory.renewal import RENEWAL
-from postproc.theory.renewal_fit import share_of_one
+from postproc.theory.renewal import RENEWAL, share_of_one
 from postproc.theory.states import stationary_states
 from postproc.theory.tricritical import order, tricritical
 

@@ -16,8 +16,8 @@ import f90nml
 import numpy as np
 
 import postproc
-from postproc import study
 from postproc.figures import style
+from studies.common import study
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

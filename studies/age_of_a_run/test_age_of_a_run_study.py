@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 import postproc
-from postproc.study import Study
 from studies.age_of_a_run import study as ages
+from studies.common.study import Study
 
 HERE = Path(ages.__file__).parent
 

@@ -16,13 +16,20 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 import postproc
-from postproc import study
 from postproc.figures import style
 from postproc.theory import circulation, direction, fate, ports, two_port
 from postproc.theory.circuit import Circuit
 from postproc.theory.models import MODELS
-from studies.circulations import TRANSIENT, circulations, steepest, straight_time
-from studies.event_log import CROSSING1, CROSSING2, ENTRY, circuit_of, particle_events, read_log
+from studies.common import study
+from studies.common.circulations import TRANSIENT, circulations, steepest, straight_time
+from studies.common.event_log import (
+    CROSSING1,
+    CROSSING2,
+    ENTRY,
+    circuit_of,
+    particle_events,
+    read_log,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -33,8 +40,8 @@ if TYPE_CHECKING:
 
     from postproc.theory.circulation import Straight
     from postproc.theory.states import State
-    from studies.event_log import Circuit as Table
-    from studies.event_log import Log, ParticleEvents
+    from studies.common.event_log import Circuit as Table
+    from studies.common.event_log import Log, ParticleEvents
 
     Floats = NDArray[np.float64]
     Integers = NDArray[np.int64]

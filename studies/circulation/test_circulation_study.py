@@ -11,9 +11,9 @@ from postproc.theory import two_port
 from postproc.theory.models import MODELS
 from studies.circulation import study as circulation
 from studies.circulation.study import Case
-from studies.circulations import circulations
-from studies.event_log import CROSSING1, CROSSING2, ENTRY, REVERSAL, Log, particle_events
-from studies.event_log import Circuit as Table
+from studies.common.circulations import circulations
+from studies.common.event_log import CROSSING1, CROSSING2, ENTRY, REVERSAL, Log, particle_events
+from studies.common.event_log import Circuit as Table
 
 
 @pytest.mark.parametrize(

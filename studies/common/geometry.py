@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from studies.event_log import Circuit
+from studies.common.event_log import Circuit
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 import postproc
-from postproc.study import Study
-from studies import circulations
-from studies.event_log import Circuit, Log, circuit_of, particle_events, read_log
+from studies.common import circulations
+from studies.common.event_log import Circuit, Log, circuit_of, particle_events, read_log
+from studies.common.study import Study
 
 CIRCUIT = Circuit()
 NAMELIST = Path(__file__).parents[1] / "circulation"  # has circuit.nml, one event log

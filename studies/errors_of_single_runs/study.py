@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 import postproc
-from postproc import study
 from postproc.figures import style
+from studies.common import study
 from studies.errors_of_single_runs.scatter import by_length, length_for_goal
 
 if TYPE_CHECKING:

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from postproc.study import Study
+from studies.common.study import Study
 from studies.errors_of_single_runs import scatter
 from studies.errors_of_single_runs import study as own_errors
 

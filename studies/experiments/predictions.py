@@ -1,4 +1,4 @@
-"""Predictions for the experiments only; others are in `postproc.accuracy.predictions`."""
+"""Predictions for the experiments only; others are in `postproc.advice.transients`."""
 
 from __future__ import annotations
 

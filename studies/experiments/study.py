@@ -21,15 +21,13 @@ import numpy as np
 from scipy import optimize
 
 import postproc
-from postproc import study
-from postproc.accuracy.predictions import circulation_rate, memory_time
-from postproc.study.text import measured, number
+from postproc.advice.transients import circulation_rate, memory_time
 from postproc.theory import circuit as theory
 from postproc.theory import ports, two_port
 from postproc.theory.direction import diffusion
 from postproc.theory.renewal import RENEWAL
-from studies import circulations
-from studies.event_log import (
+from studies.common import circulations, study
+from studies.common.event_log import (
     GROUPS,
     after_channel2,
     autocorrelations,
@@ -39,6 +37,7 @@ from studies.event_log import (
     particle_events,
     read_log,
 )
+from studies.common.text import measured, number
 from studies.experiments import picture, predictions
 
 if TYPE_CHECKING:

@@ -9,14 +9,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from postproc.accuracy.predictions import circulation_rate
-from postproc.study import Study
+from postproc.advice.transients import circulation_rate
 from postproc.tests.looks import assert_looks_apart
 from postproc.theory import ports, two_port
 from postproc.theory.circuit import Circuit, in_urn
 from postproc.theory.renewal import RENEWAL
-from studies import event_log
-from studies.event_log import Log, particle_events
+from studies.common import event_log
+from studies.common.event_log import Log, particle_events
+from studies.common.study import Study
 from studies.experiments import picture, predictions
 from studies.experiments import study as experiments
 

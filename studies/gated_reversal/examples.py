@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 import postproc
-from postproc.study.text import number
-from studies.event_log import CROSSING1, CROSSING2, ENTRY, REVERSAL, read_log
+from studies.common.event_log import CROSSING1, CROSSING2, ENTRY, REVERSAL, read_log
+from studies.common.text import number
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from postproc import study
+    from studies.common import study
 
     Floats = NDArray[np.float64]
 

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from postproc.figures import style
-from postproc.study.text import number
+from studies.common.text import number
 from studies.gated_reversal.examples import example, flown
 
 if TYPE_CHECKING:
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from numpy.typing import NDArray
 
-    from postproc import study
+    from studies.common import study
 
     Floats = NDArray[np.float64]
 

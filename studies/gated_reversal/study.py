@@ -18,10 +18,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 import postproc
-from postproc import study
 from postproc.figures import style
-from postproc.study import text
-from studies.event_log import (
+from studies.common import study, text
+from studies.common.event_log import (
     REVERSAL,
     Log,
     outward_stays,
@@ -37,7 +36,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from numpy.typing import ArrayLike, NDArray
 
-    from postproc.study.study import Groups
+    from studies.common.study import Groups
 
     Floats = NDArray[np.float64]
 

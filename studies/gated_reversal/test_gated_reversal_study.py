@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from postproc.study import Study
 from postproc.tests.looks import assert_looks_apart
-from studies.event_log import Log, outward_stays, particle_events
+from studies.common.event_log import Log, outward_stays, particle_events
+from studies.common.study import Study
 from studies.gated_reversal import examples, pasts
 from studies.gated_reversal import study as gated
 

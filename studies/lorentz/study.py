@@ -13,10 +13,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 import postproc
-from postproc import study
 from postproc.figures import style
+from studies.common import study
+from studies.common.event_log import Circuit, mean_of_groups
 from studies.common.geometry import lattice
-from studies.event_log import Circuit, mean_of_groups
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 
 import postproc
-from postproc.study import Study
 from studies.common.geometry import lattice
+from studies.common.study import Study
 from studies.lorentz import study as lorentz
 
 if TYPE_CHECKING:

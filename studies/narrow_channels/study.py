@@ -27,9 +27,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 import postproc
-from postproc import study
 from postproc.figures import style
 from postproc.theory.models import MODELS
+from studies.common import study
 from studies.narrow_channels import visits
 
 if TYPE_CHECKING:

@@ -18,14 +18,13 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import postproc
-from postproc import study
-from postproc.study.study import NAMELISTS
 from postproc.theory.circuit import Circuit, flow1
 from postproc.theory.gates import WINDOW
 from postproc.theory.renewal import RENEWAL
 from postproc.theory.states import stable_state
-from studies.common import geometry
-from studies.event_log import mean_of_groups
+from studies.common import geometry, study
+from studies.common.event_log import mean_of_groups
+from studies.common.study import NAMELISTS
 
 if TYPE_CHECKING:
     import numpy as np

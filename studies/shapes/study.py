@@ -13,12 +13,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 import postproc
-from postproc import study
 from postproc.figures import style
-from studies import event_log
-from studies.common import geometry
+from studies.common import event_log, geometry, study
+from studies.common.event_log import CROSSING2, mean_of_groups
 from studies.common.geometry import DISC, IRRATIONAL, REGULAR, SQUARE
-from studies.event_log import CROSSING2, mean_of_groups
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -11,10 +11,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from postproc.study import Study
-from studies import event_log
-from studies.common import geometry
-from studies.event_log import Circuit
+from studies.common import event_log, geometry
+from studies.common.event_log import Circuit
+from studies.common.study import Study
 from studies.shapes import study as shapes
 
 pytestmark = pytest.mark.usefixtures("theory_in_process")  # before `made`, as that is requested

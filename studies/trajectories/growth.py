@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from postproc.figures import style
-from postproc.study.probes import EPSILON, PRECISIONS, Answer, Question, ask
-from postproc.study.text import number
+from studies.common.probes import EPSILON, PRECISIONS, Answer, Question, ask
+from studies.common.text import number
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from numpy.typing import NDArray
 
-    from postproc import study
+    from studies.common import study
 
     Floats = NDArray[np.float64]
 

@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from postproc.figures import style
-from postproc.study.probes import EPSILON, PRECISIONS, Question, ask
-from postproc.study.text import number
+from studies.common.probes import EPSILON, PRECISIONS, Question, ask
+from studies.common.text import number
 from studies.trajectories.growth import (
     ASTRAY,
     COLOUR,
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
     from matplotlib.figure import Figure
 
-    from postproc import study
+    from studies.common import study
 
 ENGINES = ("collision", "excursion")
 TIMES = (1, 2, 5, 10, 20, 40, 60, 80, 100, 125, 150, 175, 200, 225, 250, 275, 300, 350, 400, 450,

@@ -6,7 +6,7 @@ build/trajectories/quick, or full (minutes); existing answers are not computed a
 
 from __future__ import annotations
 
-from postproc import study
+from studies.common import study
 from studies.trajectories import growth, reversal
 
 

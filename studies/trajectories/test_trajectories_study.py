@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from postproc.study import Study
-from postproc.tests.probes import make_probes, run_probe
+from studies.common.probing import make_probes, run_probe
+from studies.common.study import Study
 from studies.trajectories import growth, reversal
 
 NUMBER = 100

@@ -1,6 +1,6 @@
 """Make the frozen answers anew, and check them against quadruple precision.
 
-By hand, after `make probes`:
+By hand, after `make build build/bin/events-real64 build/bin/events-real128`:
 
     PYTHONPATH=.:test build/venv/bin/python -m frozen.freeze [NAME ...]
 
@@ -13,7 +13,6 @@ itself for `--self-test`, a Fortran module.
 from __future__ import annotations
 
 import argparse
-import json
 import subprocess
 import sys
 import tempfile
@@ -75,22 +74,24 @@ def read_answer(path: Path) -> Answer:
         return Answer(events, file["events/time"][()], final, 0.0, 0.0)
 
 
-def of_probe(case: Case, particles: str, engine: str, precision: int = 128) -> Answer:
-    """Run the same by the probe, in quadruple precision."""
+def of_precision(case: Case, particles: str, engine: str, bits: int = 128) -> Answer:
+    """Run the same in another precision, quadruple precision by default."""
     table = case.table
-    probe = str(ROOT / f"build/bin/accuracy-real{precision}")
     with tempfile.NamedTemporaryFile("w", suffix=".txt") as file:
         file.write(particles)
         file.flush()
-        words = [engine, case.time_step, table.shape, table.radius, table.width1, table.length1,
-                 table.width2, table.length2, file.name, len(particles.splitlines()),
-                 case.threshold, case.start_time, case.duration]
-        ended = subprocess.run([probe, "events", *map(str, words)], check=True, text=True,
-                               capture_output=True, timeout=600)
-    found = json.loads(ended.stdout)
-    events = np.array([found[key] for key in ("kind", "where", "particle")], dtype=int).T
-    final = np.array([found[key] for key in ("x", "y", "ux", "uy")]).T
-    return Answer(events.reshape(-1, 3), np.array(found["time"]), final, 0.0, 0.0)
+        numbers = [len(particles.splitlines()), case.threshold, case.time_step, table.radius,
+                   table.width1, table.length1, table.width2, table.length2, case.start_time,
+                   case.duration]
+        asked = f"{engine} {table.shape} '{file.name}'\n{' '.join(map(str, numbers))}\n"
+        ended = subprocess.run([ROOT / f"build/bin/events-real{bits}"], input=asked, check=True,
+                               text=True, capture_output=True, timeout=600)
+    lines = [line.split() for line in ended.stdout.splitlines()]
+    events = [line[1:] for line in lines if line[0] == "event"]
+    final = [line[1:] for line in lines if line[0] == "final"]
+    whole = np.array([line[:3] for line in events], dtype=int).reshape(-1, 3)
+    return Answer(whole, np.array([float(line[3]) for line in events]),
+                  np.array(final, dtype=float), 0.0, 0.0)
 
 
 def difference(one: Answer, other: Answer, name: str) -> tuple[float, float]:
@@ -126,7 +127,7 @@ def freeze(case: Case) -> str:
     told = []
     for name, engines in (("exact", case.engines), ("timestep", ("timestep",))):
         reference = "collision" if name == "exact" else name
-        answer = of_probe(case, frozen.particles, reference)
+        answer = of_precision(case, frozen.particles, reference)
         differences = {engine: difference(answer, of_program(frozen, engine), engine)
                        for engine in engines}
         frozen.answers[name] = settled(answer, differences, case.table.radius, name)
@@ -156,8 +157,8 @@ def numbers(case: Case, particles: str, answer: Answer, digits: str) -> list[str
 
 def frozen_reservoir(case: Case, particles: str) -> tuple[Answer, str]:
     """Find the answer of `reservoir`; tell how far real64 is from it."""
-    answer = of_probe(case, particles, "reservoir")
-    found = difference(answer, of_probe(case, particles, "reservoir", 64), "reservoir")
+    answer = of_precision(case, particles, "reservoir")
+    found = difference(answer, of_precision(case, particles, "reservoir", 64), "reservoir")
     settled(answer, {"reservoir": found}, case.table.radius, "reservoir")
     return answer, (f"{len(answer.events)} events of reservoir in real128; times and places of "
                     f"real64 differ by {found[0]:.1e} {found[1]:.1e}")
@@ -184,7 +185,7 @@ def freeze_own() -> str:
                 answer = frozen_reservoir(case, frozen.particles)[0]
             else:
                 reference = "collision" if name == "exact" else name
-                answer = of_probe(case, frozen.particles, reference)
+                answer = of_precision(case, frozen.particles, reference)
                 differences = {engine: difference(answer, of_program(frozen, engine), engine)
                                for engine in engines}
                 settled(answer, differences, case.table.radius, name)

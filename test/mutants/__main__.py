@@ -29,7 +29,7 @@ SUITES = ["test_admit", "test_blocks", "test_calendar", "test_channel",
           "test_ordering", "test_polarised_current", "test_polygon", "test_polygon_engines",
           "test_quantities", "test_queue", "test_random", "test_reservoir", "test_rotation",
           "test_half_channel_visits", "test_scatterers", "test_simulation", "test_archive",
-          "test_table", "test_timestep", "test_tournament", "test_urn", "test_walkers"]
+          "test_table", "test_timestep", "test_tournament", "test_urn"]
 
 
 def listed(name: str) -> list[list[str]]:

@@ -159,12 +159,12 @@ def newest(paths: object) -> list[Path]:
 
 
 def reached_from(file: str) -> set[str]:
-    """Return the files of src and of programs that a file comes to, over whatever it uses."""
+    """Return the files of src that a file comes to, over whatever it uses."""
     homes: dict[str, set[Path]] = {}
     for path in (ROOT / "src").rglob("*.[fF]90"):
         for name in MODULE.findall(path.read_text(encoding="utf-8")):
             homes.setdefault(name.lower(), set()).add(path)
-    for path in [*(ROOT / "app").glob("*/*.f90"), *(ROOT / "test/support").glob("*.f90")]:
+    for path in (ROOT / "test/support").glob("*.f90"):
         for name in MODULE.findall(path.read_text(encoding="utf-8")):
             homes.setdefault(name.lower(), set()).add(path)
     seen: set[Path] = set()

@@ -1,0 +1,102 @@
+"""Transients of runs, for chi and for currents.
+
+chi relaxes with the directions of particles, in 25 r^4/w^3, and next to a transition more slowly.
+The current of channel 2 still grows long after that: orbits of m rounds are filled only after the
+time of m rounds, each decade of m carries about as much as the one before, and this ends where the
+gate of the sparse urn reverses a circulating particle, after 1/(1 - q) rounds. The part that is
+missing at an age is the rest of the sum of `postproc.theory.circulation`. It agrees with
+measurements against the age of runs.
+"""
+
+from __future__ import annotations
+
+import math
+from functools import lru_cache
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy import integrate
+
+from postproc.theory import two_port
+from postproc.theory.direction import DIFFUSION
+from postproc.theory.models import MODELS
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from postproc.theory.circuit import Circuit
+
+    Floats = NDArray[np.float64]
+
+RELAXATIONS = 3.0  # relaxation times of directions in a transient
+SHORTEST = 1000.0  # transient in radii
+CRITICAL = 9000.0  # transient next to a transition: a margin (experiment 5 found 500 enough)
+LONGEST = 1e6  # longest transient for a current; the part still missing then is returned
+AGES = np.geomspace(10.0, 10.0 * LONGEST, 361)
+
+
+def circulation_rate(circuit: Circuit, dense: float, rounds: float) -> float:
+    """Return the rate at which circulations of so many rounds or more begin.
+
+    (n2/pi A) (w'^2/L) (1 + 2 l'/(L - l'))/m with d, d' the distances of the chords from the centre,
+    L = 2 (d + d') + l + l'; `dense` is n2, the number in the dense urn.
+    """
+    returning = float(circuit.channel2_length)
+    length = 2.0 * float(sum(circuit.chords)) + float(circuit.channel1_length) + returning
+    share = returning / length
+    beam = dense * float(circuit.channel2_width) ** 2 / (math.pi * float(circuit.urn_area) * length)
+    return beam * (1.0 + 2.0 * share / (1.0 - share)) / rounds
+
+
+def memory_time(circuit: Circuit) -> float:
+    """Return the relaxation time of directions, 25 r^4/w^3 for l = r or so."""
+    radius, width = float(circuit.urn_radius), float(circuit.channel1_width)
+    visit = math.pi * float(circuit.urn_area) / width
+    return visit / (6.0 * DIFFUSION * (width / radius) ** 2)
+
+
+def of_chi(circuit: Circuit, *, critical: bool) -> float:
+    """Return the transient of chi, next to a transition or elsewhere."""
+    slowest = max(
+        max(RELAXATIONS * memory_time(side), SHORTEST * float(side.urn_radius))
+        for side in circuit.sides
+    )
+    return 100.0 * math.ceil(0.01 * (max(slowest, CRITICAL) if critical else slowest))
+
+
+def missing(circuit: Circuit, chi: float, transients: Floats, measured: Floats) -> Floats:
+    """Return the part of the mean current over `measured` that is missing after each transient.
+
+    Parameters
+    ----------
+    chi : mass spread of the state, urn 2 the fuller one.
+    """
+    if float(circuit.channel2_width) == 0.0:
+        return np.zeros(np.shape(transients))
+    lacking = _lacking(MODELS["direction"].of(circuit), chi)
+    start = np.asarray(transients, float)
+    ends = [np.interp(age, AGES, lacking) for age in (start, start + measured)]
+    return (ends[1] - ends[0]) / measured
+
+
+@lru_cache(maxsize=4)
+def _lacking(circuit: Circuit, chi: float) -> Floats:
+    """Return the integral of the missing current from the first of `AGES` to each of them."""
+    number2 = 0.5 * float(circuit.number) * (1.0 + chi)
+    around = two_port.circulating_at(circuit, number2, np.append(AGES, math.inf))
+    return integrate.cumulative_trapezoid(around[-1] - around[:-1], AGES, initial=0.0)
+
+
+def of_current(
+    circuit: Circuit, chi: float, allowed: float, *, shortest: float, times: float
+) -> float:
+    """Return the shortest transient after which at most `allowed` of the current is missing.
+
+    Parameters
+    ----------
+    shortest : lower bound, the transient of chi.
+    times : measured time over the transient.
+    """
+    tried = np.unique(np.ceil(shortest * np.geomspace(1.0, max(1.0, LONGEST / shortest), 91)))
+    enough = np.flatnonzero(np.abs(missing(circuit, chi, tried, times * tried)) <= allowed)
+    return float(tried[enough[0] if enough.size else -1])

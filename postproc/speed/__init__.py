@@ -1,1 +1,0 @@
-"""Speed of the program: tables, changes between builds, ensembles on many ranks."""

@@ -1,0 +1,276 @@
+"""Chart two: the errors of the paper's observables against cost, for every rung of the ladder.
+
+Quantities: chi and the net current at T = 7, and the T of the upper transition, where chi falls
+through 0.3; N = 1000, w = 0.3, w' = 0.01, r = l = l' = 1. Every engine gets the same CPU time, in
+eight replicas, whose scatter is the statistical error. The bias is the difference to long runs of
+`excursion`. A theory has no statistical error; its cost is the time to solve it.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from postproc.advice import transients
+from postproc.figures import style
+from postproc.reading.results import Results
+from postproc.theory.models import MODELS
+from studies.accuracy import ladder
+from studies.accuracy.ladder import QUANTITIES, Answer
+from studies.common.text import measured, number, seconds
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from pathlib import Path
+
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+    from studies.common.study import Study
+
+NAMES = {
+    "chi": r"$\chi$ at $T = 7$",
+    "current": "net current at $T = 7$",
+    "transition": "$T$ of the upper transition",
+}
+# end of a line at which its step is written, and side of the line
+STEP_LABELS = {
+    "timestep 0.1": (-1, "right", "bottom"), "timestep 0.03": (0, "left", "bottom"),
+    "timestep 0.01": (-1, "right", "top"), "timestep 0.003": (0, "left", "bottom"),
+    "timestep 0.001": (0, "left", "bottom"),
+}  # fmt: skip
+# of engines: discs, squares and triangles; theories are crosses and stars (`theory.models`)
+LOOKS = {
+    "excursion": ("o", style.BLUE), "collision": ("s", style.SKY),
+    "synchronous": ("D", style.BLACK), "reservoir": ("^", style.GREEN),
+}  # fmt: skip
+STEPPED = (">", style.GREY)  # timestep, whatever its step
+WIDE = {"collision": 8.0, "synchronous": 4.0}  # sizes of marks that coincide, one inside the other
+# Net currents of other sets of runs of this length (docs/theory.md#circulation): mean, error, total
+# time.
+OTHER_SETS = ((1.0147, 0.0015, 2.4e7), (1.0165, 0.0021, 4.0e7))
+TRANSIENT = 500.0  # of battery.nml
+AVERAGED = (2, 7, 14, 18)  # T at which the paper's average is compared with that over time
+
+
+def long_runs(study: Study) -> Path:
+    """Make long runs at T = 7; return their file."""
+    changes = {
+        "run": {"duration": study.pick(1.0e6, 8.0e6)},
+        "scan": {"replicas": int(study.pick(24, 64))},
+    }
+    return study.run("long", "long", changes)
+
+
+def total_time(path: Path) -> float:
+    """Return the total measured time of runs."""
+    with Results(path) as results:
+        past = results.value("transient_time")
+        return float((results.value("time") - past)[results.done].sum())
+
+
+def reference(study: Study) -> dict[str, Answer]:
+    """Return the quantities from long runs of `excursion`; the current also from the other sets."""
+    path = long_runs(study)
+    found = ladder.battery_answers(path)
+    one = found["current"]
+    sets = ((one.value, one.error, total_time(path)), *OTHER_SETS)
+    found["own_current"] = one
+    found["current"] = Answer(*by_time(sets), one.seconds)
+    changes = {"run": {"duration": study.pick(2.0e5, 2.0e6)}, "scan": {"replicas": 16}}
+    changes["particles"] = {"seed": 77}  # so that it is independent of the rung
+    path = study.run("transition", "transition_reference", changes)
+    found["transition"], _ = ladder.transition_answer(path)
+    return found
+
+
+def by_time(sets: Sequence[tuple[float, float, float]]) -> tuple[float, float]:
+    """Return mean and error of sets (mean, error, time), weighted by their time.
+
+    Not by their errors: a set with a long circulation has a larger mean and a larger error.
+    """
+    value, error, time = np.array(sets).T
+    weight = time / time.sum()
+    return float(weight @ value), float(np.hypot.reduce(weight * error))
+
+
+def lacking(spent: float, per_time: float, chi: float) -> float:
+    """Return the relative part of the mean current that is missing in a rung's runs of finite age.
+
+    Parameters
+    ----------
+    spent, per_time : CPU time of all runs, and per unit of time.
+    chi : of the stationary state.
+    """
+    lasting = spent / (per_time * ladder.REPLICAS) - TRANSIENT
+    one = np.ones(1)
+    return float(transients.missing(ladder.BATTERY, chi, TRANSIENT * one, lasting * one)[0])
+
+
+def averages(study: Study) -> list[dict[str, float]]:
+    """Return chi averaged over time and, as the paper does, over wall collisions, for several T.
+
+    Both are from the same runs of `collision`, so that their difference has a small error.
+    """
+    changes = {
+        "run": {"engine": "collision", "duration": study.pick(4.0e3, 4.0e4)},
+        "scan": {"threshold": list(AVERAGED)},
+        "gate": {"threshold": None},
+        "particles": {"urn1_number": 500},
+    }
+    rows = []
+    with Results(study.run("battery", "averages", changes)) as results:
+        for point, threshold in enumerate(AVERAGED):
+            time, hits = (results.value(name)[point] for name in ("chi", "chi_collision"))
+            (chi, error), (less, its) = ladder.mean_of(time), ladder.mean_of(hits - time)
+            rows.append(
+                {
+                    "threshold": threshold,
+                    "chi": chi,
+                    "error": error,
+                    "less": less,
+                    "less_error": its,
+                }
+            )
+    return rows
+
+
+def row(name: str, kind: str, answers: dict[str, Answer], truth: dict[str, Answer]) -> dict:
+    """Return one rung's line: values, errors, costs, and biases relative to the reference.
+
+    `kind` is "theory", "exact" or "model".
+    """
+    line: dict[str, object] = {"name": name, "kind": kind}
+    for quantity in QUANTITIES:
+        one, true = answers[quantity], truth[quantity]
+        line[quantity] = {
+            "value": one.value, "error": one.error, "seconds": one.seconds,
+            "bias": one.value / true.value - 1.0,
+            "bias_error": math.hypot(one.error, true.error) / true.value,
+            "relative_error": one.error / true.value,
+        }  # fmt: skip
+    return line
+
+
+def least_cost(line: dict, quantity: str) -> float:
+    """Return the CPU time of one short run (of each T of the transition)."""
+    runs = len(ladder.SCANNED) if quantity == "transition" else 1
+    return line["per_time"] * ladder.SHORTEST * runs
+
+
+def look(line: dict) -> tuple[str, str]:
+    """Return mark and colour of a rung."""
+    if model := MODELS.get(line["name"]):
+        return model.mark, style.colour(model.colour)
+    return LOOKS.get(line["name"], STEPPED)
+
+
+def figure_observables(rows: Sequence[dict]) -> Figure:
+    """Return chart two: relative error against CPU time, a panel for each quantity.
+
+    Filled marks: the bias, with its error; if it is not significantly above zero, its upper bound
+    as an open mark with an arrow. Lines: expected error of that rung for that time.
+    """
+    made = style.figure(style.PAGE, 3.9)
+    panels = made.subplots(1, len(QUANTITIES), sharey=True)
+    for axes, quantity in zip(panels, QUANTITIES, strict=True):
+        for line in rows:
+            _draw_rung(axes, line, quantity)
+        axes.set_xscale("log")
+        axes.set_yscale("log")
+        axes.set_xlim(5e-4, 5e3)
+        axes.set_ylim(5e-5, 2.0)
+        axes.set_xlabel("CPU time (s)")
+        axes.set_title(NAMES[quantity], fontsize=8.5)
+    panels[0].set_ylabel("relative error")
+    for line in rows:
+        mark, colour = look(line)
+        if not line["name"].startswith("timestep"):
+            panels[0].plot([], [], mark, color=colour, label=ladder.label(line["name"]))
+    explain(panels[0])
+    made.legend(loc="outside upper center", ncols=4, fontsize=7)
+    return made
+
+
+def explain(axes: Axes) -> None:
+    """Add the marks and lines of both charts to a legend."""
+    mark, colour = STEPPED
+    axes.plot([], [], mark, color=colour, label="timestep, step beside it")
+    axes.plot([], [], marker=r"$\downarrow$", mew=0.0, ms=7, ls="none", color=style.BLACK,
+              label="open, with arrow: a bound")  # fmt: skip
+    axes.plot([], [], "-", color=style.BLACK, lw=0.8, label="line: to be expected of a run")
+
+
+def _draw_rung(axes: Axes, line: dict, quantity: str) -> None:
+    one, (mark, colour) = line[quantity], look(line)
+    if one["bias"] is None or not math.isfinite(one["bias"]):
+        return
+    size, error, at = abs(one["bias"]), one["bias_error"], one["seconds"]
+    if size > 2.0 * error:
+        axes.errorbar([at], [size], [error], fmt=mark, color=colour, ms=5)
+    else:
+        top = size + error
+        style.bound(axes, at, top, mark, colour, WIDE.get(line["name"], 5.0))
+    if line["kind"] == "theory":
+        return
+    times = np.geomspace(min(least_cost(line, quantity), at), 100.0 * at, 60)
+    bias = 0.0 if line["kind"] == "exact" else size
+    expected = np.hypot(bias, one["relative_error"] * np.sqrt(at / times))
+    axes.plot(times, expected, "-", color=colour, lw=0.8)
+    if line["name"] in STEP_LABELS:
+        end, across, along = STEP_LABELS[line["name"]]
+        axes.text(
+            times[end], expected[end], line["name"].split()[1], fontsize=6, color=colour,
+            ha=across, va=along,
+        )  # fmt: skip
+
+
+def _with_bias(one: dict) -> str:
+    if not math.isfinite(one["value"]):
+        return f"none from {ladder.SCANNED[0]} to {ladder.SCANNED[-1]}"
+    if one["error"]:
+        off = measured(100.0 * one["bias"], 100.0 * one["bias_error"])
+        return f"{measured(one['value'], one['error'])} ({off} %)"
+    return f"{number(one['value'], 4)} ({number(100.0 * one['bias'], 2)} %)"
+
+
+def tables(study: Study, rows: Sequence[dict], averaged: Sequence[dict]) -> None:
+    """Write the tables of the page: the rungs, and the paper's average beside that over time."""
+    titles = ("chi, T = 7", "net current, T = 7", "transition T")
+    study.table("rungs", ["rung", "CPU time", *(f"{title} (bias)" for title in titles)], [
+        [ladder.label(line["name"]), seconds(line["chi"]["seconds"]),
+         *(_with_bias(line[q]) for q in QUANTITIES)]
+        for line in rows
+    ])  # fmt: skip
+    study.table("averages", ["T", "chi, average over time", "by collisions less that"], [
+        [str(one["threshold"]), measured(one["chi"], one["error"]),
+         measured(one["less"], one["less_error"])]
+        for one in averaged
+    ])  # fmt: skip
+
+
+def run(study: Study) -> None:
+    """Run every rung, draw `observables`, store the numbers."""
+    truth = reference(study)
+    rows = [
+        row(model.name, "theory", ladder.theory_answers(model), truth)
+        for model in ladder.theories()
+    ]
+    spreads = {}
+    for rung in (*ladder.RUNGS, *(ladder.LONGER if study.full else ())):
+        answers, chi, per_time = ladder.run_rung(study, rung, study.pick(10.0, 200.0))
+        spreads[rung.name] = chi
+        line = row(rung.name, "exact" if rung.exact else "model", answers, truth)
+        if rung.exact:
+            line["lack"] = lacking(answers["current"].seconds, per_time, truth["chi"].value)
+        rows.append({**line, "per_time": per_time})
+    numbers = {
+        "reference": {name: vars(one) for name, one in truth.items()}, "rows": rows,
+        "reference_time": total_time(long_runs(study)),
+        "spreads": spreads, "eta_seconds": ladder.eta_seconds(), "averages": averages(study),
+    }  # fmt: skip
+    study.keep("observables", numbers)
+    tables(study, rows, numbers["averages"])
+    study.draw(figure_observables(rows), "observables")

@@ -1,0 +1,37 @@
+"""Legends of the charts; what the product has of the map, and what it advises."""
+
+from __future__ import annotations
+
+import csv
+import json
+from pathlib import Path
+
+import pytest
+
+from postproc.advice.model_errors import TABLE
+from postproc.tests.looks import assert_looks_apart
+from studies.accuracy import advice_check, ladder_map_figure, observables
+
+HERE = Path(__file__).parent
+KEPT = json.loads((HERE / "accuracy_numbers.json").read_text())
+
+
+def test_no_two_entries_of_a_legend_look_alike() -> None:
+    assert_looks_apart(observables.figure_observables(KEPT["observables"]["rows"]))
+    assert_looks_apart(ladder_map_figure.figure(KEPT["ladder_map"]["rows"]))
+
+
+def test_table_of_the_product_is_a_part_of_the_measured_one() -> None:
+    """Its models at all points, with the same errors."""
+    with TABLE.open(encoding="utf-8") as file:
+        known = list(csv.DictReader(file))
+    models = {row["model"] for row in known}
+    with (HERE / "where_models_fail.csv").open(encoding="utf-8") as file:
+        measured = [row for row in csv.DictReader(file) if row["model"] in models]
+    assert known == [{name: row[name] for name in known[0]} for row in measured]
+
+
+@pytest.mark.full
+def test_advice_is_right() -> None:
+    """Circuits and tolerances drawn by chance: met within two sigma of what is promised."""
+    assert advice_check.main(["8", "7"]) == 0

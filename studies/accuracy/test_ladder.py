@@ -1,0 +1,144 @@
+"""The ladder of models: what its rungs say, and where each stands between theory and billiard."""
+
+from __future__ import annotations
+
+import csv
+import json
+import math
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+from postproc.theory.models import MODELS
+from studies.accuracy import ladder
+from studies.accuracy.observables import by_time, figure_observables, lacking, row, tables
+from studies.common.study import Study
+
+if TYPE_CHECKING:
+
+    from studies.accuracy.ladder import Answer
+
+HERE = Path(__file__).parent
+SPREAD, CURRENT = 0.9291, 1.0168  # of the billiard at T = 7, by 88 runs of 1e6 time units
+
+
+def _battery(folder: Path, engine: str, duration: float, **more: float) -> dict[str, Answer]:
+    changes = {"run": {"engine": engine, "duration": duration, **more}}
+    return ladder.battery_answers(Study(folder, HERE).run("battery", engine, changes))
+
+
+def _sigmas(one: Answer, other: Answer) -> float:
+    return (one.value - other.value) / math.hypot(one.error, other.error)
+
+
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, dict[str, Answer]]:
+    folder = tmp_path_factory.mktemp("ladder")
+    found = {
+        "excursion": _battery(folder, "excursion", 32000.0),
+        "reservoir": _battery(folder, "reservoir", 8000.0),
+        "collision": _battery(folder, "collision", 1500.0),
+        "timestep": _battery(folder, "timestep", 700.0, time_step=0.03),
+    }
+    found["synchronous"] = _battery(folder, "synchronous", 700.0)
+    return found
+
+
+@pytest.mark.parametrize("engine", ["excursion", "collision", "synchronous"])
+def test_exact_engines_find_the_billiard(runs: dict, engine: str) -> None:
+    chi, current = runs[engine]["chi"], runs[engine]["current"]
+    assert abs(chi.value - SPREAD) < 5.0 * chi.error
+    assert abs(current.value - CURRENT) < 5.0 * current.error + 0.02  # short runs: no long rounds
+
+
+def test_reservoir_lies_between_the_papers_theory_and_the_billiard(runs: dict) -> None:
+    paper, _ = ladder.ask(MODELS["window"], ladder.BATTERY)
+    reservoir, billiard = runs["reservoir"]["chi"], runs["excursion"]["chi"]
+    assert reservoir.value + 5.0 * reservoir.error < paper
+    assert _sigmas(reservoir, billiard) > 5.0
+    assert _sigmas(runs["excursion"]["current"], runs["reservoir"]["current"]) > 4.0
+
+
+def test_fixed_step_is_far_below_all_others(runs: dict) -> None:
+    step = runs["timestep"]
+    for name in ("excursion", "reservoir"):
+        assert _sigmas(runs[name]["chi"], step["chi"]) > 5.0
+        assert _sigmas(runs[name]["current"], step["current"]) > 5.0
+
+
+def test_memory_of_the_urns_moves_the_transition(tmp_path: Path) -> None:
+    found = {}
+    for engine in ("excursion", "reservoir"):
+        changes = {
+            "run": {"engine": engine, "duration": 4000.0},
+            "scan": {"threshold": [15, 16, 17], "replicas": 6},
+        }
+        path = Study(tmp_path, HERE).run("transition", engine, changes)
+        found[engine], _ = ladder.transition_answer(path)
+    assert _sigmas(found["excursion"], found["reservoir"]) > 5.0
+    assert abs(found["excursion"].value - 16.26) < 5.0 * found["excursion"].error
+    assert abs(found["reservoir"].value - 15.59) < 5.0 * found["reservoir"].error
+
+
+def test_transition_is_where_chi_falls_through() -> None:
+    assert ladder.transition([14, 15, 16], [0.5, 0.4, 0.2]) == pytest.approx(15.5)
+    assert ladder.transition([1, 2, 3, 4], [0.1, 0.9, 0.5, 0.1]) == pytest.approx(3.5)
+    assert math.isnan(ladder.transition([1, 2], [0.2, 0.1]))
+
+
+def test_theory_with_memory_finds_the_billiard() -> None:
+    spread, flow = ladder.ask(MODELS["direction"], ladder.BATTERY)
+    assert spread == pytest.approx(SPREAD, abs=0.002)
+    assert flow == pytest.approx(CURRENT, rel=0.01)
+    assert ladder.ask(MODELS["direction"], replace(ladder.BATTERY, threshold=40)) == (0.0, 0.0)
+
+
+def test_sets_of_runs_are_weighted_by_their_time() -> None:
+    value, error = by_time([(1.0, 0.3, 1.0), (2.0, 0.1, 3.0)])
+    assert value == pytest.approx(1.75)
+    assert error == pytest.approx(0.075 * math.sqrt(2.0))
+
+
+def test_short_runs_lack_what_the_theory_has_in_later_rounds() -> None:
+    """A rung's eight runs of 19,000 time units: 1.1 % at the reference point."""
+    short = lacking(8 * 19000 * 1e-4, 1e-4, SPREAD)
+    assert short == pytest.approx(0.011, abs=0.001)
+    assert lacking(8 * 480000 * 1e-4, 1e-4, SPREAD) < 0.1 * short
+
+
+def _line(kind: str, value: float, error: float, seconds: float) -> dict:
+    answers = {name: ladder.Answer(value, error, seconds) for name in ladder.QUANTITIES}
+    truth = {name: ladder.Answer(1.0, 0.0, 1.0) for name in ladder.QUANTITIES}
+    return {**row(kind, kind, answers, truth), "per_time": 1e-6}
+
+
+def test_chart_two_draws_every_rung(tmp_path: Path) -> None:
+    rows = [
+        _line("theory", 0.95, 0.0, 1e-3), _line("exact", 1.001, 0.02, 10.0),
+        _line("model", math.nan, math.nan, 10.0),
+    ]  # fmt: skip
+    made = figure_observables(rows)
+    assert len(made.axes) == len(ladder.QUANTITIES)
+    made.savefig(tmp_path / "chart.png")
+    assert (tmp_path / "chart.png").stat().st_size > 10000
+    low, high = made.axes[0].get_ylim()
+    assert low > 0.0
+    assert np.isfinite(high)
+
+
+def test_tables_have_every_rung_and_average(tmp_path: Path) -> None:
+    """Of kept numbers of a quick run; a rung without a transition says so."""
+    kept = json.loads((HERE / "accuracy_numbers.json").read_text())["observables"]
+    for line in kept["rows"]:
+        if line["transition"]["value"] is None:
+            line["transition"]["value"] = math.nan
+    tables(Study(tmp_path), kept["rows"], kept["averages"])
+    with (tmp_path / "rungs.csv").open() as file:
+        rows = {row["rung"]: row for row in csv.DictReader(file)}
+    assert list(rows) == [ladder.label(line["name"]) for line in kept["rows"]]
+    assert rows["timestep 0.01"]["transition T (bias)"] == "none from 14 to 18"
+    assert "+-" in rows["excursion"]["chi, T = 7 (bias)"]
+    assert len((tmp_path / "averages.csv").read_text().splitlines()) == 1 + len(kept["averages"])

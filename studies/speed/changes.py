@@ -1,0 +1,151 @@
+"""Changes between two runs of the benchmarks: files, and ratios with their spread."""
+
+from __future__ import annotations
+
+import json
+import math
+import statistics
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from rich import box
+from rich.table import Table
+
+from postproc import cli
+from studies.speed.bounds import FORMAT, RATES, SUBJECTS, Figure, Rows
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from pathlib import Path
+
+    from studies.speed.bounds import Key
+
+
+def parsed(path: Path) -> dict[str, Any]:
+    """Read JSON with the rows of a benchmark."""
+    try:
+        found = json.loads(cli.existing_file(path).read_text())
+    except OSError as problem:
+        raise cli.InputError(f"{path}: {problem.strerror}") from problem
+    except ValueError as problem:
+        raise cli.InputError(f"{path}: not JSON") from problem
+    if not isinstance(found, dict) or not isinstance(found.get("rows"), list):
+        raise cli.InputError(f"{path}: not the JSON of a benchmark")
+    return found
+
+
+# A figure measured once (memory, instructions) has no spread; a smaller difference is no change.
+LEAST = 1e-3
+
+
+@dataclass(frozen=True)
+class Run:
+    """Contents of a file of `run`."""
+
+    path: Path
+    about: dict[str, Any]
+    rows: Rows
+    figures: dict[str, Figure]
+
+
+def load(path: Path) -> Run:
+    """Read a file of `run`; raise `InputError` if it is none, or has a value that is no rate."""
+    found = parsed(path)
+    if found.get("format") != FORMAT:
+        raise cli.InputError(f"{path}: not the JSON of a benchmark ({FORMAT})")
+    try:
+        rows = Rows(found["rows"])
+        reached = {
+            one["name"]: Figure(
+                one["name"], tuple(map(float, one["values"])), float(one["bound"]), one["at_least"]
+            )
+            for one in found["figures"]
+        }
+        seen = [value for one in reached.values() for value in one.values]
+        seen += [value for key in rows for rate in RATES for value in rows.rates(key, rate)]
+        for key in rows:
+            rows.costs(key)
+        if not all(value > 0.0 and math.isfinite(value) for value in seen):
+            raise ValueError("a value that is not positive")
+    except (KeyError, TypeError, ValueError, ZeroDivisionError) as problem:
+        reason = f"{type(problem).__name__}: {problem}"
+        raise cli.InputError(f"{path}: a damaged benchmark ({reason})") from problem
+    return Run(path, found, rows, reached)
+
+
+@dataclass(frozen=True)
+class Change:
+    """New over old of one figure: ratio of the medians, and the range of all rounds' ratios."""
+
+    name: str
+    ratio: float
+    least: float
+    most: float
+    more_is_better: bool
+
+    @property
+    def mark(self) -> str:
+        """Return 'better' or 'worse' if the range excludes 1, else nothing."""
+        if self.least <= 1.0 + LEAST and self.most >= 1.0 - LEAST:
+            return ""
+        return "better" if (self.ratio > 1.0) == self.more_is_better else "worse"
+
+
+def change(
+    name: str, old: Sequence[float], new: Sequence[float], *, more_is_better: bool
+) -> Change:
+    """Return the change between the rounds of two runs."""
+    ratio = statistics.median(new) / statistics.median(old)
+    return Change(name, ratio, min(new) / max(old), max(new) / min(old), more_is_better)
+
+
+def name_of(key: Key) -> str:
+    """Return a row's table and case in words."""
+    table, engine, *numbers, sides = key
+    flown = f"{sides} sides" if sides else engine
+    return "{:9s} {:11s} N={:<7d} T={:<4d} w={:<5.2g} w'={:.2g}".format(table, flown, *numbers)
+
+
+def changes(old: Run, new: Run) -> list[tuple[str, list[Change]]]:
+    """Return the changes of the figures, and of the rate and the relative cost of each row."""
+    pairs = [
+        (one, new.figures[name])
+        for name, one in old.figures.items()
+        if one.values and name in new.figures and new.figures[name].values
+    ]
+    reached = [
+        change(one.name, one.values, other.values, more_is_better=one.at_least)
+        for one, other in pairs
+    ]
+    rates, costs = [], []
+    for key in old.rows:
+        if key not in new.rows:
+            continue
+        rate = SUBJECTS.get(key[0], "collisions")
+        name = name_of(key)
+        both = (old.rows.rates(key, rate), new.rows.rates(key, rate))
+        rates.append(change(name, *both, more_is_better=True))
+        if not old.rows.is_first(key) and not new.rows.is_first(key):
+            both = (old.rows.costs(key), new.rows.costs(key))
+            costs.append(change(name, *both, more_is_better=False))
+    if not reached and not rates:
+        raise cli.InputError(f"{old.path} and {new.path} have no figure in common")
+    return [
+        ("What must be reached", reached),
+        ("Rates: collisions, visits or particle time a second, as the table has them", rates),
+        ("Costs over the first row of the table, in the same run", costs),
+    ]
+
+
+def table_of(title: str, found: Sequence[Change]) -> Table:
+    """Return changes as a table."""
+    table = Table(title=title, box=box.SIMPLE, title_justify="left")
+    table.add_column("", no_wrap=True)
+    for name in ("new/old", "least", "most"):
+        table.add_column(name, justify="right", no_wrap=True)
+    table.add_column("", no_wrap=True)
+    colours = {"better": "[green]better", "worse": "[red bold]worse", "": ""}
+    for one in found:
+        ratios = (f"{value:.3f}" for value in (one.ratio, one.least, one.most))
+        table.add_row(one.name, *ratios, colours[one.mark])
+    return table

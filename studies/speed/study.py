@@ -1,0 +1,80 @@
+"""Benchmarks: tables of the speed, required figures, and changes.
+
+`run` (`make bench`) lets build/bin/bench print its tables, takes the peak memory of a run of 1e7
+particles, counts instructions where valgrind is installed, prints the figures beside their bounds
+and writes everything as JSON in build/bench. All times are taken by the Fortran program itself,
+processor time.
+`compare OLD.json NEW.json` prints the ratio of each figure of two such files with its spread: from
+the least of one file's rounds over the greatest of the other's to the reverse. Ranges that exclude
+1 are marked. Rounds of one run share the state of the machine: between two runs of the same program
+on a shared machine all rates may change by the same factor, costs relative to a row of the same run
+do not.
+`ratios BASE` (`make bench BASE=COMMIT`) runs another build of `bench` and the present one in turn,
+and prints how many times as fast the present one is, in processor time.
+"""
+
+from __future__ import annotations
+
+import datetime
+import sys
+from pathlib import Path
+
+from rich.console import Console
+
+from postproc import cli
+from studies.common import study
+from studies.common.study import ROOT
+from studies.speed.benchmarks import run, said
+from studies.speed.changes import changes, load, table_of
+from studies.speed.ratios import POINTS, ROUNDS, ratio
+from studies.speed.ratios import table_of as table_of_ratios
+
+BENCH = ROOT / "build/bench"
+
+
+def compare(old: Path, new: Path, console: Console) -> None:
+    """Print the changes between two files."""
+    before, after = load(old), load(new)
+    found = changes(before, after)
+    for name, one in (("old", before), ("new", after)):
+        console.print(said(name, one), soft_wrap=True, highlight=False, markup=False)
+    for title, part in found:
+        console.print(table_of(title, part))
+    marked = sum(bool(one.mark) for _, part in found for one in part)
+    console.print(f"{marked} of {sum(len(part) for _, part in found)} changed beyond the spread.")
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run the benchmarks, or compare some runs."""
+    options = study.parser(__file__, __doc__)
+    parts = options.add_subparsers(dest="part", required=True, metavar="run|compare|ratios")
+    runs = parts.add_parser("run", help="run all benchmarks")
+    runs.add_argument("--program", type=Path, default=ROOT / "build/bin/bench")
+    runs.add_argument(
+        "--counted", type=Path, default=ROOT / "build/x86-64-v3/bin/bench",
+        help="the same program built for x86-64-v3, for callgrind",
+    )  # fmt: skip
+    runs.add_argument(
+        "--output", metavar="FILE.json", type=Path, help="default: build/bench/DATE-TIME.json"
+    )
+    some = parts.add_parser("compare", help="compare two files of run")
+    some.add_argument("files", metavar="FILE.json", type=Path, nargs=2)
+    pairs = parts.add_parser("ratios", help="run another build and the present one in turn")
+    pairs.add_argument("base", metavar="BASE", type=Path, help="the other program `bench`")
+    pairs.add_argument("--program", type=Path, default=ROOT / "build/bin/bench")
+    pairs.add_argument("--rounds", type=cli.integer(1), default=ROUNDS, help="pairs of runs")
+    given = options.parse_args(arguments)
+    console = Console(width=None if sys.stdout.isatty() else 100)
+    if given.part == "run":
+        now = f"{datetime.datetime.now(datetime.UTC):%Y-%m-%d-%H%M%S}.json"
+        run(given.program, given.counted, given.output or BENCH / now, console)
+    elif given.part == "ratios":
+        found = [ratio(name, given.base, given.program, given.rounds) for name in POINTS]
+        console.print(table_of_ratios(found))
+    else:
+        compare(*given.files, console)
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(cli.run(main))

@@ -1,0 +1,206 @@
+"""Benchmarks: figures, bounds and comparisons of files whose numbers are known."""
+
+from __future__ import annotations
+
+import json
+import stat
+import subprocess
+from pathlib import Path
+from typing import Any
+
+import pytest
+from rich.console import Console
+
+from postproc import cli
+from studies.common.study import ROOT
+from studies.speed import benchmarks, ratios, study
+from studies.speed.bounds import FORMAT, Figure, Rows, figures
+from studies.speed.changes import change
+
+# rounds of a machine whose speed drifts
+DRIFT = (1.0, 0.8, 0.9, 1.1, 0.7)
+
+
+def _row(table: str, cost: float = 1.0, **case: Any) -> dict[str, Any]:
+    """Return a row that is `cost` times as slow as 2e8 collisions a second."""
+    known = {"engine": "excursion", "number": 1000, "threshold": 7}
+    known |= {"channel1_width": 0.3, "channel2_width": 0.01, "sides": 0}
+    rates = {
+        "collisions_per_second": [2e8 * drift / cost for drift in DRIFT],
+        "visits_per_second": [1e7 * drift / cost for drift in DRIFT],
+        "particle_time_per_second": [1e8 * drift / cost for drift in DRIFT],
+    }
+    return {"table": table} | known | case | rates
+
+
+def _rows() -> list[dict[str, Any]]:
+    return [
+        _row("engines"),
+        _row("engines", 16.0, engine="collision"),
+        _row("engines", 30.0, engine="synchronous"),
+        _row("number"),
+        _row("number", 1.5, number=1_000_000, threshold=7000),
+        _row("openings", channel1_width=0.3, channel2_width=0.3),
+        _row("openings", 4.0, channel1_width=1e-6, channel2_width=1e-6),
+        _row("visits"),
+        _row("visits", 1.8, sides=6),
+        _row("visits", 2.2, sides=6, channel2_width=0.3),
+        _row("lorentz", channel2_width=0.3),
+        _row("lorentz", 5.5, engine="collision", channel2_width=0.3),
+        _row("map", 1.0, threshold=3),
+        _row("map", 3.0, threshold=23),
+    ]
+
+
+def _file(path: Path, faster: float = 1.0, **changed: Any) -> Path:
+    rows = _rows()
+    for row in rows[:1]:
+        for name in ("collisions_per_second", "visits_per_second", "particle_time_per_second"):
+            row[name] = [faster * value for value in row[name]]
+    found = figures(Rows(rows), [95.0], [21.0])
+    about = {"format": FORMAT, "rows": rows, "figures": [vars(one) for one in found]}
+    path.write_text(json.dumps(about | changed))
+    return path
+
+
+def _by_name(found: list[Figure]) -> dict[str, Figure]:
+    return {one.name: one for one in found}
+
+
+def test_figures_are_ratios_of_the_rounds_in_one_run() -> None:
+    found = _by_name(figures(Rows(_rows()), [95.0], [23.0]))
+    assert found["ratio to collision"].values == pytest.approx([16.0] * 5)
+    assert found["ratio to synchronous"].values == pytest.approx([30.0] * 5)
+    assert found["ratio to collision, 20 scatterers"].values == pytest.approx([5.5] * 5)
+    assert found["wall hits a second, visits to hexagons"].values == pytest.approx(
+        [2e8 * drift / 1.8 for drift in DRIFT]
+    )
+    assert found["visit, w = w' = 1e-6 over 0.3"].values == pytest.approx([4.0] * 5)
+    assert found["time unit and particle, 1e6 over 1e3"].values == pytest.approx([1.5] * 5)
+    # 625 points of half a second and three halves a point, in the round without drift
+    assert found["half the map, minutes"].values[0] == pytest.approx(625 * 1.0 / 60.0)
+
+
+@pytest.mark.parametrize(
+    ("new", "mark"),
+    [((2.0, 2.1), "better"), ((0.5, 0.6), "worse"), ((0.9, 1.3), ""), ((1.1, 1.4), "")],
+)
+def test_only_what_is_beyond_the_spread_is_marked(new: tuple[float, ...], mark: str) -> None:
+    assert change("rate", (1.0, 1.2), new, more_is_better=True).mark == mark
+    other = {"better": "worse", "worse": "better", "": ""}[mark]
+    assert change("cost", (1.0, 1.2), new, more_is_better=False).mark == other
+
+
+def test_compare_prints_ratios_and_marks(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    old, new = _file(tmp_path / "old.json"), _file(tmp_path / "new.json", faster=2.0)
+    assert cli.run(study.main, ["compare", str(old), str(new)]) == 0
+    text = capsys.readouterr().out
+    assert max(map(len, text.splitlines())) <= 100
+    lines = {line.split("  ")[1].strip(): line for line in text.splitlines() if "  " in line}
+    assert "2.000" in lines["ratio to synchronous"]
+    assert "better" in lines["ratio to synchronous"]
+    assert "1.000" in lines["bytes a particle, N = 1e7"]
+    # what drifts by more than the doubling: not beyond the spread of 1.1/0.7, so marked
+    assert "better" in lines["wall collisions a second, excursion"]
+    # the others became dearer over the first row, which became faster
+    assert text.count("worse") == 2
+    assert "changed beyond the spread" in text
+
+
+def _damaged(**changed: Any) -> str:
+    row = _row("engines") | changed
+    return json.dumps({"format": FORMAT, "rows": [row], "figures": []})
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        None,
+        "{",
+        "[]",
+        '{"rows": 3}',
+        '{"rows": []}',
+        json.dumps({"format": FORMAT, "rows": [{}], "figures": []}),
+        json.dumps({"format": FORMAT, "rows": [3], "figures": []}),
+        json.dumps({"format": FORMAT, "rows": [], "figures": [{"name": "a"}]}),
+        json.dumps({"format": FORMAT, "rows": [], "figures": []}),
+        _damaged(visits_per_second=[0.0]),
+        _damaged(collisions_per_second="fast"),
+        _damaged(collisions_per_second=[float("nan")] * 5),
+        _damaged(engine=[]),
+    ],
+)
+def test_a_bad_file_is_one_line_and_exit_2(
+    text: str | None, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    bad, good = tmp_path / "bad.json", _file(tmp_path / "good.json")
+    if text is not None:
+        bad.write_text(text)
+    for pair in ((bad, good), (good, bad)):
+        assert cli.run(study.main, ["compare", *map(str, pair)]) == 2
+        said = capsys.readouterr()
+        assert said.out == ""
+        assert said.err.startswith("error: ")
+        assert said.err.count("\n") == 1
+
+
+def _program(path: Path, text: str) -> Path:
+    path.write_text(f"#!/bin/sh\n{text}\n")
+    path.chmod(path.stat().st_mode | stat.S_IXUSR)
+    return path
+
+
+def test_instructions_are_those_of_the_difference(tmp_path: Path) -> None:
+    # 1000 instructions at the start, 20 a collision; runs are 5 collisions longer than asked
+    text = """for word; do last=$word; done
+echo $((last + 5)); echo "== Collected : $((1000 + 20 * (last + 5)))" >&2"""
+    valgrind = _program(tmp_path / "valgrind", text)
+    found = benchmarks.count_instructions(tmp_path / "bench", str(valgrind), (200, 800))
+    assert found == pytest.approx(20.0)
+
+
+def test_memory_is_shared_among_the_particles(tmp_path: Path) -> None:
+    # says the kilobytes of half a kibibyte a particle
+    program = _program(tmp_path / "bench", 'test "$1" = memory && echo $(($3 / 2))')
+    assert benchmarks.peak_memory(program, 1_000_000, 1) == pytest.approx(512.0)
+
+
+def test_ratios_are_of_pairs_in_turn(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked = []
+    spent = {"old": iter((6.0, 8.0, 3.0)), "new": iter((3.0, 2.0, 1.0))}
+
+    def seconds(program: Path, words: tuple[str, ...]) -> float:
+        asked.append(program.name)
+        assert words == ratios.POINTS["T = 18"]
+        return next(spent[program.name])
+
+    monkeypatch.setattr(ratios, "processor_seconds", seconds)
+    found = ratios.ratio("T = 18", Path("old"), Path("new"), 3)
+    assert found.values == (2.0, 4.0, 3.0)
+    assert asked == ["old", "new", "new", "old", "old", "new"]
+    console = Console(width=100, record=True, quiet=False)
+    console.print(ratios.table_of([found]))
+    assert "T = 18 3.00 2.00 4.00" in " ".join(console.export_text().split())
+
+
+@pytest.mark.full
+def test_the_processor_is_named_by_family_and_model() -> None:
+    made = subprocess.run(["make", "build/bin/bench"], cwd=ROOT, check=False,
+                          capture_output=True, text=True)  # fmt: skip
+    assert made.returncode == 0, made.stdout + made.stderr
+    command = [str(ROOT / "build/bin/bench")]
+    bench = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+    try:
+        assert bench.stdout is not None
+        said = bench.stdout.readline()
+    finally:
+        bench.kill()
+        bench.communicate()
+    seen = dict.fromkeys(("model name", "cpu family", "model"), "unknown")
+    for line in reversed(Path("/proc/cpuinfo").read_text().splitlines()):
+        name, _, value = line.partition(":")
+        if name.strip() in seen:
+            seen[name.strip()] = value.strip()
+    assert said == "processor: {}, family {} model {}\n".format(*seen.values())
