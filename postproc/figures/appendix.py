@@ -90,7 +90,7 @@ def figure_app2(files: Sequence[Results], models: Sequence[Model] = TWO) -> Figu
             ms=3.6,
             label=label,
         )
-        thresholds = np.arange(0.0, group.threshold.max() + 1.0)
+        thresholds = np.arange(0.0, min(group.threshold.max(), group.number[0]) + 1.0)
         for model in models:
             current = _theory(files[group.file[0]], group, thresholds, model)
             look = {"color": colour, "ls": model.dashes, "lw": 0.9}
@@ -193,7 +193,7 @@ def figure_app4(files: Sequence[Results], models: Sequence[Model] = TWO) -> Figu
             ms=3.6,
             label=f"$w = {group.channel1_width[0]:g}$, $N = {number:.0f}$",
         )
-        thresholds = np.arange(0.0, group.threshold.max() + 1.0)
+        thresholds = np.arange(0.0, min(group.threshold.max(), group.number[0]) + 1.0)
         for at, model in enumerate(models):
             current = _theory(files[group.file[0]], group, thresholds, model)
             look = {"ls": lines[row % 3], "lw": 0.9} if at == 0 else {"ls": "-", "lw": 0.5}

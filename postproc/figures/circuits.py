@@ -183,7 +183,8 @@ def _draw_branch(
 ) -> None:
     """Draw a theory's stable polarised state through the thresholds of a group."""
     circuit = files[group.file[0]].circuit(int(group.point[0]))
-    thresholds = np.arange(max(int(group.threshold.min()), 1), int(group.threshold.max()) + 1)
+    last = min(int(group.threshold.max()), int(circuit.number))  # as for all above
+    thresholds = np.arange(max(int(group.threshold.min()), 1), last + 1)
     spread, current = spread_and_current(model, circuit, thresholds)
     look = {"color": colour, "ls": model.dashes, "lw": 0.9}
     panels[0].plot(thresholds / float(circuit.number), current, **look)

@@ -111,7 +111,7 @@ def figure_numris(files: Sequence[Results], models: Sequence[Model] = QUICK) -> 
     rows = len(starts) + (len(starts) > 1)
     made = style.figure(style.PAGE, 0.5 + 2.35 * rows)
     panels = made.subplots(rows, 2, squeeze=False, sharex=True, sharey=True)
-    most = float(np.nanmax(points.along))
+    most = float(np.nanmax(points.along, initial=0.0)) or 1.0  # no current without channel 2
     looks = [
         ("chi", r"mass spread $\chi$", {"vmin": 0.0, "vmax": 1.0, "cmap": "viridis"}),
         ("along", "polarised current (per unit time)",

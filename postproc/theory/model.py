@@ -18,6 +18,7 @@ from postproc.cli import InputError
 from postproc.progress import each
 from postproc.theory.chain import between, passage_times
 from postproc.theory.circuit import (
+    PAPERS_AGE,
     eta,
     flow1,
     flow2,
@@ -33,7 +34,7 @@ from postproc.theory.states import WELL_MIXED, State
 from postproc.theory.tricritical import cubic
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
+    from collections.abc import Callable, Mapping
 
     from numpy.typing import ArrayLike, NDArray
 
@@ -76,7 +77,7 @@ class Model:
     program : program that it runs; "": none.
     largest : largest N to which it is applied.
     extras : further output.
-    by_age : net current of runs of each age in the most polarised stable state; None: it has none.
+    aged : whether its net current depends on the age of the run, `Circuit.age`.
     """
 
     name: str
@@ -96,7 +97,7 @@ class Model:
     program: str = ""
     largest: float = math.inf
     extras: Callable[[Circuit], dict[str, object]] = _no_extras
-    by_age: Callable[[Circuit, Sequence[float]], list[dict[str, float]]] | None = None
+    aged: bool = False
 
     @property
     def has_rates(self) -> bool:
@@ -116,7 +117,7 @@ class Model:
             (self.has_rates, "eta, lifetimes"),
             (self.has_line, "line of transition"),
             (self.mixed, "tricritical point, single urn, polygons"),
-            (self.by_age is not None, "age of a run"),
+            (self.aged, "age of a run"),
         )
         return [words for known, words in abilities if known]
 
@@ -135,7 +136,7 @@ class Model:
         circuit.need_empty_channels()
         if refused := self.refusal(circuit):
             raise InputError(refused)
-        return replace(circuit, **self.changes)
+        return replace(circuit, **_reachable(circuit), **self.changes)
 
     def theory_of(self, circuit: Circuit) -> Theory:
         """Return the functions for a circuit, depending on whether urns and gates are equal."""
@@ -165,7 +166,10 @@ class Model:
         """Return the result of `compute`, from the cache unless it is fast."""
         if self.mixed:
             return compute()
-        return kept(f"{what} {self.name} {at}", self.of(circuit), compute)
+        own = self.of(circuit)
+        if what != "states":  # nothing else depends on it
+            own = replace(own, age=PAPERS_AGE)
+        return kept(f"{what} {self.name} {at}", own, compute)
 
     def stable_state(self, circuit: Circuit) -> State | None:
         """Return the stable polarised state with the largest chi, None if there is none."""
@@ -233,7 +237,8 @@ class Model:
         Beyond its last T the homogeneous state is stable without channel 2, so the line ends at w'
         = 0.
         """
-        own, whole = self.of(circuit), np.arange(max(first, 1), last + 1)
+        last = min(last, max(int(np.max(circuit.number)), 1))  # no gate reverses from T = N on
+        own, whole = self.of(circuit), np.arange(min(max(first, 1), last), last + 1)
         if not self.has_line:
             return whole.astype(float), np.full(whole.shape, math.nan)
         label = f"line of transition, {self.label}, threshold"
@@ -290,6 +295,14 @@ class Model:
             lambda: passage_times(own, low, high, theory=self.theory), (low, high),
         )  # fmt: skip
         return one, two
+
+
+def _reachable(circuit: Circuit) -> dict[str, object]:
+    """Return the thresholds of a circuit, at most N: no gate reverses from T = N on."""
+    names = ("threshold", "gate2_threshold")
+    given = {name: getattr(circuit, name) for name in names}
+    return {name: np.minimum(one, circuit.number) if np.ndim(one) else min(one, circuit.number)
+            for name, one in given.items() if one is not None}  # fmt: skip
 
 
 def _carried(circuit: Circuit, number2: float) -> Floats:

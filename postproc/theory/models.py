@@ -94,12 +94,12 @@ DECLARED = (
         "net currents well inside the polarised region, and their growth with time", 0.3, "-.",
         "P", "purple",
         "renewal_occupation", _COUNTED, _PORTS, replace(_PORTS, transition_width=_no_line),
-        extras=_of_ports, by_age=two_port.by_age,
+        extras=_of_ports, aged=True,
     ),
     Model(
         "direction", "directions", "as `two_port`, with memory of the direction of entry",
         "chi, currents and transitions alike; lifetimes", 1.0, "-", "X", "violet",
-        "two_port", _COUNTED, _DIRECTIONS, _DIRECTIONS, by_age=direction.by_age,
+        "two_port", _COUNTED, _DIRECTIONS, _DIRECTIONS, aged=True,
     ),
     Model(
         "one_particle", "one particle",

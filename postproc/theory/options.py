@@ -62,7 +62,8 @@ def given_circuit(given: argparse.Namespace) -> Circuit:
     """Return the circuit of the options, checked; the model chooses its gate."""
     _check(given)
     names = {field.name for field in fields(Circuit)} - {"gate", "shape"}
-    values = {name: value for name, value in vars(given).items() if name in names}
+    values = {name: value for name, value in vars(given).items()
+              if name in names and value is not None}  # fmt: skip
     values["threshold"], *other_threshold = given.threshold
     values["urn_radius"], *other_radius = given.urn_radius
     return Circuit(
