@@ -323,11 +323,11 @@ def circulating(circuit: Circuit, duration: float) -> float:
 
 
 def thresholds_of(circuit: Circuit) -> list[int]:
-    """Return thresholds across the upper transition, around that of the theory `two_port`.
+    """Return thresholds across the upper transition, around that of the theory `renewal`.
 
     If that theory has none, around the number that a gate holds at equal densities.
     """
-    at = transition_of(circuit, MODELS["two_port"])
+    at = transition_of(circuit, MODELS["renewal"])
     if not math.isfinite(at):
         at = float(gate_load(circuit, 0.5 * float(circuit.number)))
     middle, step = round(1.03 * at), max(1, round(0.05 * at))
@@ -486,7 +486,7 @@ def _theory_within(
     theory's value as exact.
     """
     least = model.seconds * (SCAN if quantity == "transition" else 1.0)
-    if least >= longest or model.draws or model.refusal(circuit):
+    if least >= longest or model.refusal(circuit):
         return math.nan, math.inf
     spread = found.value if quantity == "chi" else None
     with doing(f"theory {model.name}"):

@@ -84,7 +84,7 @@ def main(arguments: list[str] | None = None) -> int:
         tolerance = float(10.0 ** random.uniform(*np.log10(TOLERANCES[quantity])))
         groups = advice.table_of(circuit)
         if quantity == "polarised_current":
-            stable = advice.theory_says(circuit, MODELS["two_port"], "chi", None)[0]
+            stable = advice.theory_says(circuit, MODELS["direction"], "chi", None)[0]
             if not stable > 0.3:
                 continue  # no current to speak of
         found = advice.pilot(groups, circuit, quantity, tolerance)

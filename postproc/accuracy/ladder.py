@@ -94,10 +94,9 @@ def transition(thresholds: ArrayLike, chi: ArrayLike) -> float:
     return float(at[k] + share * (at[k + 1] - at[k]))
 
 
-def theories(*, drawing: bool) -> list[Model]:
-    """Return the theories available here, those that use random numbers only if `drawing`."""
-    known = [model for model in MODELS.values() if drawing or not model.draws]
-    return [model for model in known if not model.refusal(BATTERY)]
+def theories() -> list[Model]:
+    """Return the theories that apply to the battery."""
+    return [model for model in MODELS.values() if not model.refusal(BATTERY)]
 
 
 def label(name: str) -> str:

@@ -22,7 +22,7 @@ TOLERANCES = (0.1, 0.03, 0.01, 0.003)  # required errors
 SURE = 2.0  # number of standard errors above which a difference is significant
 # engines, each with all physics of those before it, and more; `reservoir` has all of this theory
 STEPS = ("timestep 0.1", "timestep 0.03", "timestep 0.01", "timestep 0.003")
-BELOW_RESERVOIR = "renewal_chain"
+BELOW_RESERVOIR = "renewal"
 
 
 def expected(line: dict, quantity: str, seconds: float) -> float:

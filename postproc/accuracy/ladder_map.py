@@ -295,7 +295,7 @@ def run(study: Study) -> None:
     truth = run_points(study, rungs["excursion"], study.pick(1.2e5, 1.2e6), 16, doubled=True)
     one_unit = scatter(truth)
     rows = [row(model.name, "theory", ask(model), truth)
-            for model in ladder.theories(drawing=True)]  # fmt: skip
+            for model in ladder.theories()]  # fmt: skip
     once = truth
     for rung in RUNGS:
         if rung.name == SLOWEST and not study.full:

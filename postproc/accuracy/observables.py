@@ -255,7 +255,7 @@ def run(study: Study) -> None:
     truth = reference(study)
     rows = [
         row(model.name, "theory", ladder.theory_answers(model), truth)
-        for model in ladder.theories(drawing=False)
+        for model in ladder.theories()
     ]
     spreads = {}
     for rung in (*ladder.RUNGS, *(ladder.LONGER if study.full else ())):

@@ -53,7 +53,7 @@ def missing(circuit: Circuit, chi: float, transients: Floats, measured: Floats) 
     """
     if float(circuit.channel2_width) == 0.0:
         return np.zeros(np.shape(transients))
-    lacking = _lacking(MODELS["two_port"].of(circuit), chi)
+    lacking = _lacking(MODELS["direction"].of(circuit), chi)
     start = np.asarray(transients, float)
     ends = [np.interp(age, AGES, lacking) for age in (start, start + measured)]
     return (ends[1] - ends[0]) / measured

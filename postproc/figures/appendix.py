@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from postproc.figures import style
-from postproc.figures.models import WELL_MIXED
+from postproc.figures.models import default
 from postproc.reading.points import gather
 
 if TYPE_CHECKING:
@@ -24,7 +24,6 @@ if TYPE_CHECKING:
 
     Floats = NDArray[np.float64]
 
-TWO = WELL_MIXED[:2]
 LEAST = 1e-3  # smallest current of theory (per unit time) in relative differences
 LOWEST = -1.5  # smallest relative difference in the upper panel of app3
 FILLS = (  # fill styles of app3's marks, one for each theory
@@ -73,8 +72,9 @@ def _explain(axes: Axes, lines: Sequence[tuple[str, str]]) -> None:
         axes.plot([], [], color=style.GREY, ls=dashes, lw=1.0, label=label)
 
 
-def figure_app2(files: Sequence[Results], models: Sequence[Model] = TWO) -> Figure:
+def figure_app2(files: Sequence[Results], models: Sequence[Model] = ()) -> Figure:
     """Return the stationary current of the single urn against T/N, a panel for each N."""
+    models = models or default(files)
     points = gather(files)
     made, panels = _panels(points)
     for row, column, group in _groups(points):
@@ -108,12 +108,13 @@ def relative_difference(current: Floats, error: Floats, expected: Floats) -> tup
     return (known - current) / known, error / np.abs(known)
 
 
-def figure_app3(files: Sequence[Results], models: Sequence[Model] = WELL_MIXED) -> Figure:
+def figure_app3(files: Sequence[Results], models: Sequence[Model] = ()) -> Figure:
     """Return the relative difference of theory and measured current.
 
     Above, of the first theory (the paper's) and the second; below, on a scale of its own, of all
     but the first. Values below the upper panel are written at its edge.
     """
+    models = models or default(files)
     points = gather(files)
     count = np.unique(points.number).size
     made = style.figure(style.PAGE if count > 1 else 4.4, 5.6)
@@ -172,8 +173,9 @@ def _mark_beyond(beyond: Sequence[tuple[Axes, float, float, str]]) -> None:
         )  # fmt: skip
 
 
-def figure_app4(files: Sequence[Results], models: Sequence[Model] = TWO) -> Figure:
+def figure_app4(files: Sequence[Results], models: Sequence[Model] = ()) -> Figure:
     """Return currents and theory divided by N, against T/N, all N in one panel."""
+    models = models or default(files)
     points = gather(files)
     made = style.figure(5.0, 3.7)
     axes = made.subplots()

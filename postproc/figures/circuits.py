@@ -15,7 +15,7 @@ from postproc.figures.currents import (
     explain_eta,
     settled_number2,
 )
-from postproc.figures.models import PAIR, best, spread_and_current
+from postproc.figures.models import default, spread_and_current
 from postproc.reading.points import gather
 from postproc.reading.results import Results
 
@@ -48,8 +48,9 @@ def _with_tasks(files: Sequence[Results]) -> Points:
     return points.where(np.arange(points.number.size) < MOST)
 
 
-def figure_comp05(files: Sequence[Results], models: Sequence[Model] = PAIR) -> Figure:
+def figure_comp05(files: Sequence[Results], models: Sequence[Model] = ()) -> Figure:
     """Return flows and net currents against time, a panel for each point by T, eta below."""
+    models = models or default(files)
     points = _with_tasks(files)
     count = points.number.size
     made = style.figure(max(3.1 * count, 4.6), 5.4)
@@ -73,12 +74,13 @@ def figure_comp05(files: Sequence[Results], models: Sequence[Model] = PAIR) -> F
     return made
 
 
-def figure_comp06(files: Sequence[Results], models: Sequence[Model] = PAIR) -> Figure:
+def figure_comp06(files: Sequence[Results], models: Sequence[Model] = ()) -> Figure:
     """Return chi, and below it the net current of channel 2, against time, a colour for each T.
 
     The current is counted from the urn that was full at the start to the other. The beginning is
     shown on the left if the run is much longer.
     """
+    models = models or default(files)
     points = _with_tasks(files)
     last = max(float(files[file].value("series/time").max()) for file in np.unique(points.file))
     ends = [last] if last < 3.0 * EARLY else [EARLY, last]
@@ -143,9 +145,9 @@ def figure_comp01(files: Sequence[Results], models: Sequence[Model] = ()) -> Fig
 
     The polarity is the instantaneous one, at all points: next to a transition chi does not decide
     which points are polarised.
-    `models` are the theories to draw, those of `models.best` if none are given.
+    `models` are the theories to draw, those of `models.default` if none are given.
     """
-    models = models or best()
+    models = models or default(files)
     points = gather(files)
     made = style.figure(style.PAGE, 3.4)
     left, right = made.subplots(1, 2, sharey=True)

@@ -8,7 +8,7 @@ import numpy as np
 
 from postproc import cli
 from postproc.figures import style
-from postproc.figures.models import QUICK
+from postproc.figures.models import default
 from postproc.reading.points import gather
 
 if TYPE_CHECKING:
@@ -96,12 +96,13 @@ def _draw_lines(axes: Axes, points: Points, lines: Sequence[Line], marks: Floats
     axes.set_xlim(borders[0], borders[-1])
 
 
-def figure_numris(files: Sequence[Results], models: Sequence[Model] = QUICK) -> Figure:
+def figure_numris(files: Sequence[Results], models: Sequence[Model] = ()) -> Figure:
     """Return maps of chi and current, a row for each start, and of the difference of two starts.
 
     The current is counted along the instantaneous polarity: one with a fixed sign would cancel if
     the polarity reverses in a run.
     """
+    models = models or default(files)
     points = gather(files)
     if np.unique(points.number).size > 1 or np.unique(points.channel1_width).size > 1:
         raise cli.InputError("figure numris needs runs of one N and one w")

@@ -10,11 +10,9 @@ from __future__ import annotations
 from pathlib import Path
 
 from postproc import cli
-from postproc.figures.models import add_models, named
+from postproc.figures.models import add_models, default, named
 from postproc.reading.results import Results
 from postproc.report.page import page
-
-DEFAULT = ("window", "renewal")  # the paper's, and the exact rule of the gate
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -24,9 +22,9 @@ def main(arguments: list[str] | None = None) -> int:
     add_models(options)
     cli.add_output(options)
     given = options.parse_args(arguments)
-    models = {one.name: one for one in named(given.model or DEFAULT)}
     with Results(given.file) as results:
-        text = page(results, models)
+        models = named(given.model or ()) or default([results])
+        text = page(results, {one.name: one for one in models})
         results.say_if_partial()
     path = cli.output_folder(given.output) / f"{given.file.stem}.html"
     try:

@@ -296,7 +296,7 @@ def test_a_theory_is_advised_where_it_is_good_enough() -> None:
 def test_transition_of_the_battery() -> None:
     circuit = Circuit(1000, 7)
     assert advice.thresholds_of(circuit) == [14, 15, 16, 17, 18]
-    assert advice.transition_of(circuit, MODELS["two_port"]) == pytest.approx(15.4, abs=0.1)
+    assert advice.transition_of(circuit, MODELS["renewal"]) == pytest.approx(15.8, abs=0.1)
 
 
 def test_the_map_is_asked_at_the_nearest_point_of_like_circuits() -> None:
@@ -306,13 +306,13 @@ def test_the_map_is_asked_at_the_nearest_point_of_like_circuits() -> None:
     assert model_errors.nearest(replace(own, number=2000, threshold=16)) == (8, 0.02)
     assert model_errors.nearest(replace(own, number=2000, threshold=60)) is None
     assert model_errors.nearest(replace(own, gate2_threshold=9)) is None
-    row = next(one for one in model_errors._table() if one["model"] == "two_port"
+    row = next(one for one in model_errors._table() if one["model"] == "direction"
                and (one["T"], one["w2"]) == ("8", "0.02"))  # fmt: skip
     for quantity, column in (("chi", "off_chi"), ("polarised_current", "off_share"),
                              ("transition", "off_transition")):  # fmt: skip
         told = model_errors.words(own, quantity)
-        assert f"two_port {100.0 * abs(float(row[column])):.2g} %" in told
-        assert told.index("two_port") < told.index("timestep 0.003")
+        assert f"direction {100.0 * abs(float(row[column])):.2g} %" in told
+        assert told.index("direction") < told.index("timestep 0.003")
     found = Pilot(0.87, 0.009, 0.0, 1000.0, 2000.0, 1e-8, 0.05)  # too cheap to ask all theories
     advised = advice.advise(advice.table_of(own), own, "chi", 0.001, found)
     assert model_errors.words(own, "chi") in advised.reason

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from postproc.figures import passages
-from postproc.figures.models import WELL_MIXED
+from postproc.figures.models import named
 from postproc.reading.results import Results
 from postproc.report import compare
 from postproc.tests.commands import call
@@ -34,15 +34,14 @@ def test_runs_without_memory_agree_with_the_renewal_gate(
     )
     assert call("compare", [str(path), "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
-    assert [one["theory"] for one in found] == ["window", "renewal", "renewal_occupation"]
-    window, renewal, counted = found
-    assert counted["points"] == 4
-    assert counted["right_phase"] == 1.0
-    assert counted["chi"] < 0.01
-    assert window["chi"] > 3 * counted["chi"]
+    assert [one["theory"] for one in found] == ["window", "renewal"]
+    window, renewal = found
+    assert renewal["points"] == 4
+    assert renewal["right_phase"] == 1.0
+    assert renewal["chi"] < 0.01
+    assert window["chi"] > 2 * renewal["chi"]
     for name in compare.FLOWS:
-        assert counted[name] == pytest.approx(1.0, abs=0.1)
-    assert renewal["dense2"] == window["dense2"]
+        assert renewal[name] == pytest.approx(1.0, abs=0.1)
     assert window["dense1"] > 3.0
 
 
@@ -56,8 +55,8 @@ def test_single_urns_are_compared_by_their_current(tmp_path: Path) -> None:
         output=BARE,
     )
     with Results(path) as results:
-        paper, _, counted = compare.compare([results])
-    assert counted.current < 0.05 < paper.current
+        paper, renewal = compare.compare([results])
+    assert renewal.current < 0.05 < paper.current
     assert math.isnan(paper.chi)
 
 
@@ -75,7 +74,7 @@ def test_lifetimes_are_measured_and_drawn(
     path = results_of(tmp_path / "run.h5", particles={"number": None}, scan=scan)
     with Results(path) as results:
         found = passages.measured([results])
-        made = passages.figure_lifetimes([results], WELL_MIXED)
+        made = passages.figure_lifetimes([results], named(["window", "renewal"]))
     assert [life.polarised for life in found] == [True, False] * 2
     assert [(life.passages, life.replicas) for life in found] == [(2, 2), (0, 2)] * 2
     assert all(0.0 < life.low <= life.time <= life.high < 500.0 for life in found[::2])
@@ -90,7 +89,7 @@ def test_lifetimes_are_measured_and_drawn(
     for life in found:
         times = [one.time for one in found if one.polarised == life.polarised]
         assert ("o" if life.polarised else "^", (500.0, 1000.0), tuple(times)) in drawn
-    assert len(made.legends[0].get_texts()) == 6
+    assert len(made.legends[0].get_texts()) == 5
 
 
 def test_lifetimes_of_runs_that_end_too_early_are_not_too_short() -> None:
@@ -119,5 +118,5 @@ def test_measured_passages_of_free_particles_are_those_of_the_chain(tmp_path: Pa
         found = passages.measured([results])
     for one in found:
         error = 0.5 * (one.high - one.low)
-        expected = one.of_chain(MODELS["renewal_occupation"])
+        expected = one.of_chain(MODELS["renewal"])
         assert one.time == pytest.approx(expected, abs=4.0 * error + 1.0)

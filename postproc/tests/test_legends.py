@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 HERE = Path(__file__).parent
 KEPT = json.loads((HERE / "accuracy_numbers.json").read_text())
-MIXED = named(["window", "renewal", "renewal_occupation"])
+MIXED = named(["window", "renewal"])
 SHORT = {"duration": 100.0}
 TOLD: dict[str, Callable[[], Figure]] = {
     "observables": lambda: observables.figure_observables(KEPT["observables"]["rows"]),
@@ -33,8 +33,8 @@ DRAWN = {
     "numris": (maps.figure_numris, "circuit", MIXED),
     "lifetimes": (passages.figure_lifetimes, "circuit", MIXED),
     "app2": (appendix.figure_app2, "urn", MIXED),
-    "app3": (appendix.figure_app3, "urn", appendix.WELL_MIXED),
-    "app4": (appendix.figure_app4, "urn", MIXED[:2]),
+    "app3": (appendix.figure_app3, "urn", MIXED),
+    "app4": (appendix.figure_app4, "urn", MIXED),
     "one_channel": (one_channel.figure_one_channel, "plane", one_channel.PAIR),
 }
 

@@ -247,7 +247,7 @@ def test_single_urn_is_the_gates_flow() -> None:
 def test_command_line_prints_the_contract(capsys: pytest.CaptureFixture[str]) -> None:
     assert call("theory", ["--number", "1000", "--threshold", "7"]) == 0
     printed = json.loads(capsys.readouterr().out)
-    assert set(printed) == {"homogeneous", "roots", "transition_width", "urn_area"}
+    assert set(printed) == {"homogeneous", "roots", "transition_width", "urn_area", "direction"}
     assert set(printed["roots"][0]) == {"urn2_number", "kind", "mass_spread", "net_current"}
 
 

@@ -309,7 +309,7 @@ def test_command_line_and_exchange_of_unlike_halves(capsys: pytest.CaptureFixtur
 
 def test_lifetimes_command_takes_every_theory(capsys: pytest.CaptureFixture[str]) -> None:
     found = {}
-    for model in ("renewal", "two_port", "direction"):
+    for model in ("renewal", "direction"):
         words = ["--number", "380", "--threshold", "1", "--model", model]
         assert call("lifetimes", words) == 0
         found[model] = json.loads(capsys.readouterr().out)

@@ -16,7 +16,7 @@ from scipy import interpolate
 
 from postproc.cli import InputError
 from postproc.progress import each
-from postproc.theory.chain import between, passage_times
+from postproc.theory.chain import Lifetimes, between, lifetimes, passage_times
 from postproc.theory.circuit import (
     PAPERS_AGE,
     eta,
@@ -28,7 +28,6 @@ from postproc.theory.circuit import (
     transition_width,
 )
 from postproc.theory.kept import kept
-from postproc.theory.programs import absence
 from postproc.theory.renewal import RENEWAL
 from postproc.theory.states import WELL_MIXED, State
 from postproc.theory.tricritical import cubic
@@ -73,9 +72,6 @@ class Model:
     unlike : its functions for other circuits; None: it has none.
     mixed : whether its urns are well mixed and its states are zeros of eta. Then it has an eta, the
         line of eq. (transition), a tricritical point, and applies to the single urn.
-    draws : whether it uses random numbers, so that its results have errors.
-    program : program that it runs; "": none.
-    largest : largest N to which it is applied.
     extras : further output.
     aged : whether its net current depends on the age of the run, `Circuit.age`.
     """
@@ -93,9 +89,6 @@ class Model:
     theory: Theory = WELL_MIXED
     unlike: Theory | None = None
     mixed: bool = False
-    draws: bool = False
-    program: str = ""
-    largest: float = math.inf
     extras: Callable[[Circuit], dict[str, object]] = _no_extras
     aged: bool = False
 
@@ -127,9 +120,9 @@ class Model:
             return f"theory {self.name}: of the single urn it says nothing"
         if self.unlike is None and not circuit.alike:
             return f"theory {self.name}: it needs two equal urns and gates"
-        if self.largest < math.inf and float(circuit.number) > self.largest:
-            return f"theory {self.name}: it is asked up to N = {self.largest:g}"
-        return absence(self.program) if self.program else ""
+        if circuit.outline is not None and not self.mixed:
+            return f"theory {self.name}: it knows urns that are discs only, these are polygons"
+        return ""
 
     def of(self, circuit: Circuit) -> Circuit:
         """Return the circuit for this theory; raise `InputError` if it does not apply."""
@@ -281,6 +274,13 @@ class Model:
     def urn_current(self, urn: Circuit) -> Floats:
         """Return the current of the single urn of the appendix (per unit time)."""
         return single_urn_current(self.of(urn))
+
+    def lifetimes(self, circuit: Circuit) -> Lifetimes:
+        """Return the lifetimes of both states of equal urns and gates."""
+        own = self.of(circuit)
+        return Lifetimes(**self._cached(
+            "lifetimes", circuit, lambda: vars(lifetimes(own, self.theory))
+        ))  # fmt: skip
 
     def passage_times(self, circuit: Circuit, low: float, high: float) -> tuple[float, float]:
         """Return the lifetimes of homogeneous and polarised state by the chain (length/v).

@@ -52,7 +52,7 @@ class State:
         if the theory does not have it.
     net_current_infinite_age : the net current that no run reaches, of circulations of ever more
         rounds; None if it does not depend on the age.
-    mass_spread_error, net_current_error : standard errors if the theory uses random numbers.
+    net_current_error : standard error if the theory uses random numbers.
     """
 
     urn2_number: float
@@ -61,7 +61,6 @@ class State:
     net_current: float
     circulating_current: float | None = None
     net_current_infinite_age: float | None = None
-    mass_spread_error: float | None = None
     net_current_error: float | None = None
 
 

@@ -23,6 +23,7 @@ from postproc.theory import circulation, direction, fate, ports, two_port
 from postproc.theory.circuit import Circuit
 from postproc.theory.models import MODELS
 from studies.circulations import TRANSIENT, circulations, steepest, straight_time
+from studies.common.theories import THEORIES
 from studies.event_log import CROSSING1, CROSSING2, ENTRY, circuit_of, particle_events, read_log
 
 if TYPE_CHECKING:
@@ -64,7 +65,7 @@ class Case:
     @property
     def circuit(self) -> Circuit:
         """The circuit as `two_port` asks for it."""
-        return MODELS["two_port"].of(
+        return THEORIES["two_port"].of(
             Circuit(1000, self.threshold, channel2_width=self.channel2_width,
                     channel2_length=self.channel2_length)
         )  # fmt: skip
@@ -84,7 +85,7 @@ CASES = (
 
 def state_of(circuit: Circuit, model: str = "two_port") -> State:
     """Return the most polarised stable state by a model."""
-    return max(MODELS[model].solve_stable(circuit), key=lambda one: one.mass_spread)
+    return max(THEORIES[model].solve_stable(circuit), key=lambda one: one.mass_spread)
 
 
 def spread_of(log: Log, at_start: int, end: float) -> tuple[float, float]:

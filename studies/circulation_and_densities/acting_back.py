@@ -26,7 +26,7 @@ import numpy as np
 from scipy import optimize
 
 from postproc.theory import circulation, ports
-from postproc.theory.models import MODELS
+from studies.common.theories import THEORIES
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -157,7 +157,7 @@ class Balance:
 @lru_cache(maxsize=16)
 def most_polarised(circuit: Circuit) -> State:
     """Return the most polarised stable state of `two_port`, of a circuit as that takes it."""
-    return max(MODELS["two_port"].solve_stable(circuit), key=lambda one: one.mass_spread)
+    return max(THEORIES["two_port"].solve_stable(circuit), key=lambda one: one.mass_spread)
 
 
 def polarised(circuit: Circuit) -> float:
@@ -178,7 +178,7 @@ def solved(circuit: Circuit, age: float, draws: int = 1) -> tuple[Found, list[Fo
     itself, others are one step from there. That overstates their scatter, by a third at T = 12,
     w' = 0.05.
     """
-    circuit = MODELS["two_port"].of(circuit)
+    circuit = THEORIES["two_port"].of(circuit)
     first, found = polarised(circuit), []
 
     def state(known: Passing) -> tuple[Floats, Floats]:

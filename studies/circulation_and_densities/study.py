@@ -23,6 +23,7 @@ from postproc.theory import circulation, direction, ports, two_port
 from postproc.theory.circuit import Circuit
 from postproc.theory.models import MODELS
 from studies.circulation_and_densities.acting_back import most_polarised, solved
+from studies.common.theories import THEORIES
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -91,7 +92,7 @@ def predicted(case: Case, age: float, draws: int) -> Row:
         abs(held.net_current + float(direction.around(circuit, held, age, seed=seed)[0]))
         for seed in seeds
     ]
-    circuit = MODELS["two_port"].of(case.circuit)
+    circuit = THEORIES["two_port"].of(case.circuit)
     state = most_polarised(circuit)
     straight = two_port.straight_at(circuit, state.urn2_number)
     rest, urns = state.net_current - state.circulating_current, [*map(ports.disc, circuit.sides)]

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from postproc.theory import two_port
-from postproc.theory.models import MODELS
 from studies.circulation_and_densities import acting_back
 from studies.circulation_and_densities.study import Case, summary
+from studies.common.theories import THEORIES
 from studies.event_log import Circuit as Table
 
 NEAR = Case((12, 12), 0.3, 0.0612)
@@ -18,7 +18,7 @@ NEAR = Case((12, 12), 0.3, 0.0612)
 
 @pytest.mark.parametrize("case", [NEAR, Case((4, 40), 0.3, 0.09)])
 def test_without_straight_passages_states_are_those_of_two_ports(case: Case) -> None:
-    circuit = MODELS["two_port"].of(case.circuit)
+    circuit = THEORIES["two_port"].of(case.circuit)
     state = acting_back.most_polarised(circuit)
     balance = acting_back.Balance(circuit, acting_back.NOTHING)
     first = balance.nearest(acting_back.polarised(circuit))
@@ -30,7 +30,7 @@ def test_without_straight_passages_states_are_those_of_two_ports(case: Case) -> 
 
 
 def test_urns_send_as_much_as_they_receive() -> None:
-    circuit = MODELS["two_port"].of(NEAR.circuit)
+    circuit = THEORIES["two_port"].of(NEAR.circuit)
     known = acting_back.Passing(np.array([0.1, 0.7]), np.array([0.5, -0.2]), np.array([0.9, 0.2]))
     arriving = np.array([8.0, 20.0])
     entries, across, _, _ = acting_back.Balance(circuit, known).flows(arriving)
@@ -56,7 +56,7 @@ def test_passages_of_both_urns_are_filled_to_the_age(monkeypatch: pytest.MonkeyP
 
 def test_nothing_changes_in_a_circuit_with_open_gates() -> None:
     """All is filled evenly: straight passages are those of two ports; 0.5 % of them is noise."""
-    circuit = MODELS["two_port"].of(Case((1000, 1000), 0.3, 0.0612).circuit)
+    circuit = THEORIES["two_port"].of(Case((1000, 1000), 0.3, 0.0612).circuit)
     at = two_port.balance(circuit, 500.0)
     entries, across = at.entries[:, 0], at.across[:, 0]
     found = acting_back.passing(circuit, entries, across, 1e9)

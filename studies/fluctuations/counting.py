@@ -19,7 +19,7 @@ from scipy.optimize import minimize_scalar
 from scipy.special import ive
 
 from postproc.theory.circuit import Circuit, flow1, flow2
-from postproc.theory.models import MODELS
+from studies.common.theories import THEORIES
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -149,7 +149,7 @@ def _after(state: NDArray[np.complex128], up: NDArray[np.complex128], down: NDAr
 
 def renewal_chain(circuit: Circuit) -> Chain:
     """Return the chain of a circuit; of one whose gates are alike, that with N2 > N/2."""
-    one, two = (MODELS["renewal_occupation"].of(side) for side in circuit.sides)
+    one, two = (THEORIES["renewal_occupation"].of(side) for side in circuit.sides)
     number = int(circuit.number)
     number2 = np.arange(number // 2 + 1 if circuit.alike else 0, number + 1)
     up1, up2, down1, down2 = (

@@ -15,7 +15,7 @@ import numpy as np
 from scipy.special import gammaln, ive, logsumexp
 
 from postproc.theory import circulation, two_port
-from postproc.theory.models import MODELS
+from studies.common.theories import THEORIES
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -139,8 +139,8 @@ def begun(circuit: Circuit) -> tuple[Floats, float]:
     rates fall as exp(-R m)/m, R the fraction that the gate of the other urn reverses. A particle
     that is reversed there ends its train: that it may come back is left out.
     """
-    own = MODELS["two_port"].of(circuit)
-    state = max(MODELS["two_port"].solve_stable(own), key=lambda one: one.urn2_number)
+    own = THEORIES["two_port"].of(circuit)
+    state = max(THEORIES["two_port"].solve_stable(own), key=lambda one: one.urn2_number)
     straight = two_port.straight_at(own, state.urn2_number)
     reached = np.zeros(circulation.ROUNDS + 2)  # rates of the c-th crossing of a train
     place, slope, _, weights = straight.begun(1, np.random.default_rng(1))

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from postproc.study import Study
+from studies.common.theories import told
 from studies.order_of_transition import channels, later, prediction, samples
 from studies.order_of_transition import study as order
 
@@ -33,7 +34,7 @@ def test_small_loads_have_a_jump_from_some_threshold_up() -> None:
 
 
 @pytest.mark.usefixtures("theory_in_process")
-def test_two_ports_have_the_states_of_the_curve(tmp_path: Path) -> None:
+def test_two_ports_have_the_states_of_the_curve() -> None:
     case = order.CASES["A"]
     found = prediction.transition(case.threshold, case.load)
     ends = [prediction.width_of(k) for k in (found.homogeneous, found.polarised)]
@@ -41,13 +42,13 @@ def test_two_ports_have_the_states_of_the_curve(tmp_path: Path) -> None:
     for place, (homogeneous, stable) in {
         -0.2: ("unstable", 1), 0.1: ("stable", 1), 0.9: ("stable", 1), 1.1: ("stable", 0),
     }.items():  # fmt: skip
-        told = Study(tmp_path).theory(
+        found_states = told(
             "two_port", number=number, threshold=case.threshold,
             channel1_length=case.reach / number,
             channel2_width=ends[0] + place * (ends[1] - ends[0]),
         )  # fmt: skip
-        assert told["homogeneous"] == homogeneous
-        assert [one["kind"] for one in told["roots"]].count("stable") == stable
+        assert found_states["homogeneous"] == homogeneous
+        assert [one["kind"] for one in found_states["roots"]].count("stable") == stable
 
 
 def test_barrier_of_a_large_circuit_is_that_of_the_chain() -> None:

@@ -19,7 +19,7 @@ from postproc import study
 from postproc.accuracy import ladder
 from postproc.accuracy.model_errors import TABLE
 from postproc.figures import style
-from postproc.theory.models import MODELS
+from studies.common.theories import THEORIES
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 POLARISED = 0.3  # chi above which a state is called so
 BOUNDS = (0.01, 0.03, 0.1)
 COLOURS = ("tab:green", "gold", "tab:orange", "tab:red")
-THEORIES = [*MODELS]
+
 QUICK = (4, 10, 16)  # thresholds of quick runs
 # changes of the map for an engine: a fixed step costs a hundred times as much
 COARSE = {"threshold": [4, 6, 8, 10, 12, 14, 16], "replicas": 1}
@@ -91,7 +91,7 @@ def of_theory(model: str, points: list[tuple[int, float]]) -> Points:
     found = {}
     for at in points:
         circuit = replace(ladder.BATTERY, threshold=at[0], channel2_width=at[1])
-        stable = MODELS[model].solve_stable(circuit)
+        stable = THEORIES[model].solve_stable(circuit)
         state = max(stable, key=lambda one: one.mass_spread, default=None)
         chi, current = (state.mass_spread, state.net_current) if state else (0.0, 0.0)
         found[at] = chi, abs(current) / chi if chi > 0.0 else math.nan

@@ -1,4 +1,4 @@
-"""One-particle theory against Fig. comp01: python -m postproc.accuracy.comp01_check.
+"""One-particle theory against Fig. comp01: python -m studies.one_particle.study.
 
 Computes the theory at the 46 points with chi above 0.15 (comp01_polarised.json, the paper's
 length). Prints a line for each point, and the error with three choices of points left out next to a
@@ -26,14 +26,14 @@ import numpy as np
 from postproc import cli
 from postproc.reading.results import Results
 from postproc.theory.circuit import Circuit
-from postproc.theory.one_particle import stationary_states
+from studies.one_particle.walkers import stationary_states
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from numpy.typing import NDArray
 
-    from postproc.theory.one_particle import Effort
+    from studies.one_particle.walkers import Effort
 
 KEPT = json.loads(Path(__file__).with_name("comp01_polarised.json").read_text(encoding="utf-8"))
 HOLLOW = math.exp(-1.0)  # density of chi next to 0 over that at its mode, of polarised states
@@ -120,7 +120,7 @@ def print_hollow(paths: Sequence[Path]) -> None:
 
 def main(arguments: list[str] | None = None) -> int:
     """Print the table."""
-    options = cli.parser("accuracy.comp01_check", __doc__)
+    options = cli.parser("one_particle", __doc__)
     options.add_argument("files", metavar="FILE.h5", type=Path, nargs="*")
     files = options.parse_args(arguments).files
     if files:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -10,14 +9,15 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from postproc.accuracy import comp01_check
-from postproc.accuracy.comp01_check import HOLLOW, hollow, root_mean_square
 from postproc.cli import InputError
-from postproc.tests.commands import call
 from postproc.tests.runs import BARE, results_of
-from postproc.theory import one_particle, programs
+from postproc.theory import programs
 from postproc.theory.circuit import Circuit, gate_load
-from postproc.theory.one_particle import (
+from postproc.theory.renewal import RENEWAL
+from postproc.theory.states import stable_state
+from studies.one_particle import study
+from studies.one_particle.study import HOLLOW, hollow, root_mean_square
+from studies.one_particle.walkers import (
     MOST_VISITS,
     Effort,
     effort_for,
@@ -26,8 +26,6 @@ from postproc.theory.one_particle import (
     transition_width,
     walk,
 )
-from postproc.theory.renewal import RENEWAL
-from postproc.theory.states import stable_state
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -93,8 +91,8 @@ FEW = [(0.0102, 5), (0.0306, 13)]
 def test_it_meets_some_polarised_points_of_comp01() -> None:
     """At the paper's length; `test_it_meets_all_polarised_points_of_comp01` has the others."""
     effort = replace(QUICK, transient=3000.0, duration=2500.0)
-    few = [one for one in comp01_check.POINTS if (one.channel2_width, one.threshold) in FEW]
-    spread, current = root_mean_square([comp01_check.off(one, effort) for one in few])
+    few = [one for one in study.POINTS if (one.channel2_width, one.threshold) in FEW]
+    spread, current = root_mean_square([study.off(one, effort) for one in few])
     assert len(few) == len(FEW)
     assert spread < 0.005
     assert current < 0.03
@@ -102,10 +100,10 @@ def test_it_meets_some_polarised_points_of_comp01() -> None:
 
 def test_points_next_to_a_transition_are_told_by_the_distribution_of_chi() -> None:
     """Those that have no polarised state, and the next T; an even state has its mode at 0."""
-    points = comp01_check.POINTS
+    points = study.POINTS
     assert len(points) == 46
-    assert len(comp01_check.but_ends(points)) == 38
-    kept = comp01_check.inner(points)
+    assert len(study.but_ends(points)) == 38
+    kept = study.inner(points)
     assert len(kept) == 34
     assert {one.threshold for one in kept if one.channel2_width == 0.0612} == set(range(9, 14))
     random = np.random.default_rng(1)
@@ -118,8 +116,8 @@ def test_points_next_to_a_transition_are_told_by_the_distribution_of_chi() -> No
 @pytest.mark.full
 def test_it_meets_all_polarised_points_of_comp01() -> None:
     """The 34 that have a polarised state in runs, but the last ones before either transition."""
-    found = {one: comp01_check.off(one) for one in comp01_check.but_ends(comp01_check.POINTS)}
-    inner = comp01_check.inner(comp01_check.POINTS)
+    found = {one: study.off(one) for one in study.but_ends(study.POINTS)}
+    inner = study.inner(study.POINTS)
     assert np.isfinite(list(found.values())).all()
     spread, current = root_mean_square([found[one] for one in inner])
     assert spread < 0.005
@@ -216,25 +214,6 @@ def test_effort_is_bounded(number: int, width: float) -> None:
     assert effort.batches * effort.copies * number * time / mean_visit < 1.01 * MOST_VISITS
     assert effort.copies == 2
     assert effort.transient <= effort.duration <= 20.0 * effort.transient
-
-
-def test_command_line_prints_errors_where_walkers_draw(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """JSON as of every theory, with standard errors; nothing that walkers do not tell."""
-    short = replace(QUICK, copies=4, transient=300.0, duration=300.0)
-    monkeypatch.setattr(one_particle, "effort_for", lambda *_: short)
-    assert call("theory", ["--number", "1000", "--threshold", "7", "--model", "one_particle"]) == 0
-    told = json.loads(capsys.readouterr().out)
-    assert list(told) == ["homogeneous", "roots", "transition_width", "urn_area"]
-    assert told["homogeneous"] == "unstable"
-    (root,) = told["roots"]
-    errors = ["mass_spread_error", "net_current_error"]
-    assert list(root) == ["urn2_number", "kind", "mass_spread", "net_current", *errors]
-    assert root["mass_spread"] == pytest.approx(0.929, abs=0.01)
-    assert root["net_current"] == pytest.approx(1.02, abs=0.1)
-    assert 0.0 < root["mass_spread_error"] < 0.01
-    assert 0.0 < root["net_current_error"] < 0.1
 
 
 def test_numbers_of_any_kind_are_understood() -> None:
