@@ -8,7 +8,7 @@ from __future__ import annotations
 from postproc import cli
 from postproc.figures import style
 from postproc.figures.currents import figure_currents
-from postproc.figures.models import PAIR, add_models, named
+from postproc.figures.models import add_models, named
 from postproc.reading.results import Results
 
 
@@ -20,7 +20,7 @@ def main(arguments: list[str] | None = None) -> int:
     cli.add_output(options)
     given = options.parse_args(arguments)
     with Results(given.file, verify=given.verify) as results:
-        models = named(given.model) if given.model else PAIR
+        models = named(given.model or ())
         made = figure_currents(results, *results.task(given.point, given.replica), models)
         results.say_if_partial()
     style.save(made, given.output, "currents")

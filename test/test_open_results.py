@@ -251,12 +251,21 @@ def test_a_theory_or_group_that_is_not_there_is_named(tmp_path: Path) -> None:
     assert postproc.open_results(unequal)["gate_threshold"].values.tolist() == [5, 6]
 
 
+def test_the_current_of_a_theory_is_that_of_the_age_of_the_runs(tmp_path: Path) -> None:
+    path = results_of(tmp_path, {"threshold": "7"}, particles={"number": 1000},
+                      run={"duration": 300.0, "transient_duration": 100.0})  # fmt: skip
+    data = postproc.open_results(path, theory="direction")
+    root = describe(Circuit(1000, 7, age=200.0), MODELS["direction"])["roots"][-1]
+    assert data["theory_polarised_current"].item() == root["net_current"]
+    assert root["net_current"] < 0.99 * root["net_current_infinite_age"]
+
+
 def test_a_theory_of_unlike_gates_has_both(tmp_path: Path) -> None:
     path = results_of(tmp_path, {"channel2_width": "0.01"}, gate={"threshold": "7, 30"},
                       table={"urn_radius": "1, 1.2"}, particles={"number": 1000})  # fmt: skip
-    data = postproc.open_results(path, theory="two_port")
+    data = postproc.open_results(path, theory="direction")
     unlike = Circuit(1000, 7, gate2_threshold=30, urn2_radius=1.2)
-    told = describe(unlike, MODELS["two_port"])
+    told = describe(unlike, MODELS["direction"])
     best = max(root["mass_spread"] for root in told["roots"] if root["kind"] == "stable")
     assert data["theory_chi"].item() == best
     assert np.isnan(data["theory_transition_width"])

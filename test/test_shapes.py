@@ -169,7 +169,7 @@ def test_theories_take_the_area_or_say_that_they_know_discs_only(
     """A square of side 2 has A = 4 in the window's and the renewal gate's theory."""
     words = ["--number", "1000", "--threshold", "7"]
     words += ["--urn-vertices", *SQUARE.replace(",", " ").split()]
-    for model in ("window", "renewal", "two_port", "direction", "one_particle"):
+    for model in ("window", "renewal", "direction"):
         code = call("theory", [*words, "--model", model])
         said = capsys.readouterr()
         if model in ("window", "renewal"):

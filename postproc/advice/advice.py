@@ -498,7 +498,7 @@ def _theory_within(
     theory's value as exact.
     """
     least = model.seconds * (SCAN if quantity == "transition" else 1.0)
-    if least >= longest or model.draws or model.refusal(circuit):
+    if least >= longest or model.refusal(circuit):
         return math.nan, math.inf
     spread = found.value if quantity == "chi" else None
     with doing(f"theory {model.name}"):

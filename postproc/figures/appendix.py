@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from postproc.figures import style
-from postproc.figures.models import WELL_MIXED
+from postproc.figures.models import default
 from postproc.reading.points import gather
 
 if TYPE_CHECKING:
@@ -24,7 +24,6 @@ if TYPE_CHECKING:
 
     Floats = NDArray[np.float64]
 
-TWO = WELL_MIXED[:2]
 LEAST = 1e-3  # smallest current of theory (per unit time) in relative differences
 LOWEST = -1.5  # smallest relative difference in the upper panel of app3
 FILLS = (  # fill styles of app3's marks, one for each theory
@@ -74,8 +73,9 @@ def _explain(axes: Axes, lines: Sequence[tuple[str, str]]) -> None:
 
 
 @style.settings()
-def figure_app2(files: Sequence[Results], models: Sequence[Model] = TWO) -> Figure:
+def figure_app2(files: Sequence[Results], models: Sequence[Model] = ()) -> Figure:
     """Return the stationary current of the single urn against T/N, a panel for each N."""
+    models = models or default(files)
     points = gather(files)
     made, panels = _panels(points)
     for row, column, group in _groups(points):
@@ -91,7 +91,7 @@ def figure_app2(files: Sequence[Results], models: Sequence[Model] = TWO) -> Figu
             ms=3.6,
             label=label,
         )
-        thresholds = np.arange(0.0, group.threshold.max() + 1.0)
+        thresholds = np.arange(0.0, min(group.threshold.max(), group.number[0]) + 1.0)
         for model in models:
             current = _theory(files[group.file[0]], group, thresholds, model)
             look = {"color": colour, "ls": model.dashes, "lw": 0.9}
@@ -110,12 +110,13 @@ def relative_difference(current: Floats, error: Floats, expected: Floats) -> tup
 
 
 @style.settings()
-def figure_app3(files: Sequence[Results], models: Sequence[Model] = WELL_MIXED) -> Figure:
+def figure_app3(files: Sequence[Results], models: Sequence[Model] = ()) -> Figure:
     """Return the relative difference of theory and measured current.
 
     Above, of the first theory (the paper's) and the second; below, on a scale of its own, of all
     but the first. Values below the upper panel are written at its edge.
     """
+    models = models or default(files)
     points = gather(files)
     count = np.unique(points.number).size
     made = style.figure(style.PAGE if count > 1 else 4.4, 5.6)
@@ -175,8 +176,9 @@ def _mark_beyond(beyond: Sequence[tuple[Axes, float, float, str]]) -> None:
 
 
 @style.settings()
-def figure_app4(files: Sequence[Results], models: Sequence[Model] = TWO) -> Figure:
+def figure_app4(files: Sequence[Results], models: Sequence[Model] = ()) -> Figure:
     """Return currents and theory divided by N, against T/N, all N in one panel."""
+    models = models or default(files)
     points = gather(files)
     made = style.figure(5.0, 3.7)
     axes = made.subplots()
@@ -196,7 +198,7 @@ def figure_app4(files: Sequence[Results], models: Sequence[Model] = TWO) -> Figu
             ms=3.6,
             label=f"$w = {group.channel1_width[0]:g}$, $N = {number:.0f}$",
         )
-        thresholds = np.arange(0.0, group.threshold.max() + 1.0)
+        thresholds = np.arange(0.0, min(group.threshold.max(), group.number[0]) + 1.0)
         for at, model in enumerate(models):
             current = _theory(files[group.file[0]], group, thresholds, model)
             look = {"ls": lines[row % 3], "lw": 0.9} if at == 0 else {"ls": "-", "lw": 0.5}

@@ -17,7 +17,7 @@ from postproc.figures.currents import (
     settled_number2,
 )
 from postproc.figures.maps import common_circuit
-from postproc.figures.models import PAIR, best, spread_and_current
+from postproc.figures.models import default, spread_and_current
 from postproc.reading.points import gather
 from postproc.reading.results import Results
 
@@ -51,8 +51,9 @@ def _with_tasks(files: Sequence[Results]) -> Points:
 
 
 @style.settings()
-def figure_comp05(files: Sequence[Results], models: Sequence[Model] = PAIR) -> Figure:
+def figure_comp05(files: Sequence[Results], models: Sequence[Model] = ()) -> Figure:
     """Return flows and net currents against time, a panel for each point by T, eta below."""
+    models = models or default(files)
     points = _with_tasks(files)
     count = points.number.size
     made = style.figure(max(3.1 * count, 4.6), 5.4)
@@ -77,12 +78,13 @@ def figure_comp05(files: Sequence[Results], models: Sequence[Model] = PAIR) -> F
 
 
 @style.settings()
-def figure_comp06(files: Sequence[Results], models: Sequence[Model] = PAIR) -> Figure:
+def figure_comp06(files: Sequence[Results], models: Sequence[Model] = ()) -> Figure:
     """Return chi, and below it the net current of channel 2, against time, a colour for each T.
 
     The current is counted from the urn that was full at the start to the other. The beginning is
     shown on the left if the run is much longer.
     """
+    models = models or default(files)
     points = _with_tasks(files)
     last = max(float(files[file].value("series/time").max()) for file in np.unique(points.file))
     ends = [last] if last < 3.0 * EARLY else [EARLY, last]
@@ -148,9 +150,9 @@ def figure_comp01(files: Sequence[Results], models: Sequence[Model] = ()) -> Fig
 
     The polarity is the instantaneous one, at all points: next to a transition chi does not decide
     which points are polarised.
-    `models` are the theories to draw, those of `models.best` if none are given.
+    `models` are the theories to draw, those of `models.default` if none are given.
     """
-    models = models or best()
+    models = models or default(files)
     points = gather(files)
     common_circuit(files, points)
     if np.unique(points.start).size > 1:
@@ -191,7 +193,8 @@ def _draw_branch(
 ) -> None:
     """Draw a theory's stable polarised state through the thresholds of a group."""
     circuit = files[group.file[0]].circuit(int(group.point[0]))
-    thresholds = np.arange(max(int(group.threshold.min()), 1), int(group.threshold.max()) + 1)
+    last = min(int(group.threshold.max()), int(circuit.number))  # as for all above
+    thresholds = np.arange(max(int(group.threshold.min()), 1), last + 1)
     spread, current = spread_and_current(model, circuit, thresholds)
     look = {"color": colour, "ls": model.dashes, "lw": 0.9}
     panels[0].plot(thresholds / float(circuit.number), current, **look)

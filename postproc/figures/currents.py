@@ -9,8 +9,8 @@ import numpy as np
 from matplotlib.ticker import MaxNLocator
 
 from postproc.figures import style
-from postproc.figures.models import PAIR
 from postproc.reading.results import Results
+from postproc.theory.models import defaults
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -175,14 +175,14 @@ def _break(upper: Axes, lower: Axes) -> None:
 
 @style.settings()
 def figure_currents(
-    results: Results, point: int = 0, replica: int = 0, models: Sequence[Model] = PAIR
+    results: Results, point: int = 0, replica: int = 0, models: Sequence[Model] = ()
 ) -> Figure:
     """Return the picture of one task of `results`."""
     circuit, series = results.any_circuit(point), results.series(point, replica)
     made = style.figure(style.PAGE, 3.7)
     left, right = made.add_gridspec(1, 2, width_ratios=(2.2, 1.0))
     # Circuits beyond the theories are drawn alone.
-    drawn = () if results.beyond_theory(point) else models
+    drawn = () if results.beyond_theory(point) else models or defaults([circuit])
     axes = draw_currents(made, left, circuit, series, drawn)[0]
     if drawn:
         balance = made.add_subplot(right)

@@ -9,7 +9,7 @@ import numpy as np
 
 from postproc import cli
 from postproc.figures import style
-from postproc.figures.models import QUICK
+from postproc.figures.models import default
 from postproc.reading.points import gather
 
 if TYPE_CHECKING:
@@ -111,12 +111,13 @@ def _draw_lines(axes: Axes, points: Points, lines: Sequence[Line], marks: Floats
 
 
 @style.settings()
-def figure_numris(files: Sequence[Results], models: Sequence[Model] = QUICK) -> Figure:
+def figure_numris(files: Sequence[Results], models: Sequence[Model] = ()) -> Figure:
     """Return maps of chi and current, a row for each start, and of the difference of two starts.
 
     The current is counted along the instantaneous polarity: one with a fixed sign would cancel if
     the polarity reverses in a run.
     """
+    models = models or default(files)
     points = gather(files)
     circuit = common_circuit(files, points)
     lines, marks = transition_lines(points, circuit, models), tricritical_places(circuit, models)
@@ -124,7 +125,7 @@ def figure_numris(files: Sequence[Results], models: Sequence[Model] = QUICK) -> 
     rows = len(starts) + (len(starts) == 2)
     made = style.figure(style.PAGE, 0.5 + 2.35 * rows)
     panels = made.subplots(rows, 2, squeeze=False, sharex=True, sharey=True)
-    most = float(np.nanmax(points.along))
+    most = float(np.nanmax(points.along, initial=0.0)) or 1.0  # no current without channel 2
     looks = [
         ("chi", r"mass spread $\chi$", {"vmin": 0.0, "vmax": 1.0, "cmap": "viridis"}),
         ("along", "polarised current (per unit time)",

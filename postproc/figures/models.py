@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from postproc.progress import each
-from postproc.theory.models import MODELS
-from postproc.theory.programs import there
+from postproc.theory.models import FEW, MODELS, defaults
 
 if TYPE_CHECKING:
     import argparse
@@ -18,6 +17,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from postproc.reading.results import Results
     from postproc.theory.circuit import Circuit
     from postproc.theory.model import Model
 
@@ -29,17 +29,9 @@ def named(names: Iterable[str]) -> tuple[Model, ...]:
     return tuple(MODELS[name] for name in names)
 
 
-# for circuits: the paper's, the exact rule of the gate with well mixed urns, and the best
-ALL = named(("window", "renewal_occupation", "direction"))
-PAIR = (ALL[0], ALL[-1])  # for figures of two theories
-QUICK = ALL[:2]  # for figures in which the best would take a minute
-# of the single urn
-WELL_MIXED = (ALL[0], replace(MODELS["renewal"], dashes="-"), ALL[1])
-
-
-def best() -> tuple[Model, ...]:
-    """Return the theories of `ALL`, the last one that of walkers where they are built."""
-    return (*ALL[:-1], MODELS["one_particle"]) if there("one_particle") else ALL
+def default(files: Sequence[Results]) -> tuple[Model, ...]:
+    """Return the theories to draw beside files where none is named, `theory.models.defaults`."""
+    return defaults(one.any_circuit(point) for one in files for point in range(one.points))
 
 
 def add_models(options: argparse.ArgumentParser) -> None:
@@ -49,7 +41,8 @@ def add_models(options: argparse.ArgumentParser) -> None:
         metavar="NAME",
         nargs="+",
         choices=sorted(MODELS),
-        help=f"theories to draw: {', '.join(MODELS)} (default: what the figure has room for)",
+        help=f"theories to draw: {', '.join(MODELS)} (default: window and direction, which takes "
+        f"two seconds a point; window and renewal for more than {FEW} points, and polygons)",
     )
 
 

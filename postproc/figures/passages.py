@@ -19,7 +19,7 @@ from scipy import stats
 
 from postproc.cli import InputError
 from postproc.figures import style
-from postproc.figures.models import ALL
+from postproc.figures.models import default
 from postproc.reading.points import gather
 
 if TYPE_CHECKING:
@@ -128,7 +128,7 @@ def measured(files: Sequence[Results]) -> list[Lifetime]:
     return lifetimes
 
 
-def table(found: Sequence[Lifetime], models: Sequence[Model] = ALL) -> str:
+def table(found: Sequence[Lifetime], models: Sequence[Model]) -> str:
     """Return the lifetimes and those of the chains as text, a line for each point."""
     head = f"{'T':>2s} {'l':>4s} {'N':>5s} {'from':>11s} {'left':>7s} {'lifetime':>9s} "
     lines = [head + f"{'(68 %)':>20s}" + "".join(f"  {model.label}" for model in models)]
@@ -146,11 +146,12 @@ def table(found: Sequence[Lifetime], models: Sequence[Model] = ALL) -> str:
 
 
 @style.settings()
-def figure_lifetimes(files: Sequence[Results], models: Sequence[Model] = ALL) -> Figure:
+def figure_lifetimes(files: Sequence[Results], models: Sequence[Model] = ()) -> Figure:
     """Return lifetimes against N, a panel for each T and l: marks measured, lines the chains."""
     found = measured(files)
     if not found:
         raise InputError("figure lifetimes: no run is complete")
+    models = models or default(files)
     print(table(found, models))
     panels: dict[tuple[int, float], list[Lifetime]] = {}
     for one in found:

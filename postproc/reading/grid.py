@@ -11,7 +11,7 @@ import xarray as xr
 
 from postproc.cli import InputError, path_of
 from postproc.reading.results import COMPLETE, NOT_ASKED, Results
-from postproc.theory.models import MODELS, describe
+from postproc.theory.models import MODELS, defaults, describe
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -35,7 +35,6 @@ THEORY = {
     "theory_polarised_current": ("1/time", "net current of that state, from the fuller urn"),
     "theory_homogeneous_stable": ("1", "whether the homogeneous state is stable"),
     "theory_transition_width": ("length", "width w' of channel 2 on the transition line"),
-    "theory_chi_error": ("1", "mass spread by theory, standard error"),
     "theory_polarised_current_error": ("1/time", "net current by theory, standard error"),
 }
 URN_THEORY = {"theory_current1": ("1/time", "hits on the end wall")}
@@ -44,7 +43,7 @@ URN_THEORY = {"theory_current1": ("1/time", "hits on the end wall")}
 def open_results(
     file: str | Path,
     *,
-    theory: str | Sequence[str] = (),
+    theory: str | Sequence[str] | bool = (),
     group: str | None = None,
     verify: bool = False,
 ) -> xr.Dataset:
@@ -58,8 +57,9 @@ def open_results(
     ----------
     file : the results file.
     theory : the name of a model ("window" is the paper's, see `postproc.theory.models`): variables
-        `theory_...` have its results; several models become a dimension `theory`. Models that draw
-        numbers take seconds a point, and have errors.
+        `theory_...` have its results; several models become a dimension `theory`. True: the paper's
+        beside memory ("direction"), which takes two seconds a point; beyond 12 points and for
+        polygons beside the exact gate ("renewal"). Currents are those of runs as old as the file's.
     group : what to read in place of the averages: "series", "snapshots", "final" or "events".
     verify : whether to read the whole file and check its digest, which detects any damage.
 
@@ -77,6 +77,8 @@ def open_results(
         there is no such model or group; the model is not for this table.
     """
     models = [theory] if isinstance(theory, str) or not isinstance(theory, Iterable) else [*theory]
+    if isinstance(theory, bool):
+        models = []
     for model in models:
         if not (isinstance(model, str) and model in MODELS):
             raise InputError(f"there is no theory {model!r}; there are {', '.join(MODELS)}")
@@ -87,6 +89,9 @@ def open_results(
         if group is not None and not results.has(group):
             raise InputError(f"{path}: has no {group}")
         axes = results.axes()
+        if theory is True:
+            circuits = map(results.any_circuit, range(results.points))
+            models = [one.name for one in defaults(circuits)]
         added = _theory(results, models) if models and group is None else {}
         data = results.dataset()
         inner = results.dataset(group) if group is not None else None
@@ -210,7 +215,6 @@ def _theory_values(circuit: Circuit, model: str) -> list[float]:
         best["net_current"],
         STATES.get(answer["homogeneous"]),
         answer["transition_width"],
-        best.get("mass_spread_error"),
         best.get("net_current_error"),
     ]
     return [math.nan if value is None else value for value in values]

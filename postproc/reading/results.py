@@ -19,7 +19,7 @@ import xarray as xr
 
 from postproc.cli import InputError, existing_file
 from postproc.reading.seal import check_seal
-from postproc.theory.circuit import Circuit
+from postproc.theory.circuit import PAPERS_AGE, Circuit
 from postproc.theory.gates import WINDOW
 from postproc.theory.outlines import outline_of, regular
 
@@ -302,7 +302,20 @@ class Results:
             shape=self.shape,
             scatterers=self.scatterers,
             **self._outlines((radius, beyond)),
+            age=self._age(point),
         )
+
+    def _age(self, point: int) -> float:
+        """Return the age of a point's runs in the middle of their averages, to two digits.
+
+        Where no task is complete, that of the paper's runs.
+        """
+        if not (self.has("transient_time") and self.done[point].any()):
+            return PAPERS_AGE
+        ends = [self.value(name)[point][self.done[point]].mean()
+                for name in ("transient_time", "time")]  # fmt: skip
+        age = float(f"{0.5 * sum(ends):.2g}")
+        return age if age >= 0.0 and math.isfinite(age) else PAPERS_AGE
 
     def _outlines(self, radii: tuple[float, float]) -> dict[str, Outline | None]:
         """Return the outlines of urns that are polygons, from their radii if they are regular."""

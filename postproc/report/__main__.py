@@ -10,10 +10,8 @@ from __future__ import annotations
 from pathlib import Path
 
 from postproc import cli
-from postproc.figures.models import add_models, named
+from postproc.figures.models import add_models, default, named
 from postproc.reading.results import Results
-
-DEFAULT = ("window", "renewal")  # the paper's, and the exact rule of the gate
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -25,9 +23,10 @@ def main(arguments: list[str] | None = None) -> int:
     cli.add_output(options)
     given = options.parse_args(arguments)
     path = cli.file_to_write(given.output / f"{given.file.stem}.html")
-    models = {one.name: one for one in named(given.model or DEFAULT)}
     with Results(given.file, verify=given.verify) as results:
-        text = cli.extra("report", "postproc.report.page").page(results, models)
+        models = named(given.model or ()) or default([results])
+        page = cli.extra("report", "postproc.report.page").page
+        text = page(results, {one.name: one for one in models})
         results.say_if_partial()
     cli.output_folder(given.output)
     try:

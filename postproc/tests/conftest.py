@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import os
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     from matplotlib.figure import Figure
+
+# what tests compute is not kept in the user's own folder
+os.environ["XDG_CACHE_HOME"] = str(Path(__file__).resolve().parents[2] / "build" / "cache")
 
 
 @pytest.fixture

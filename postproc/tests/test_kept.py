@@ -8,9 +8,11 @@ from typing import TYPE_CHECKING
 
 import pytest
 
+from postproc.theory import direction
 from postproc.theory import kept as keeping
 from postproc.theory.circuit import Circuit
 from postproc.theory.gates import WINDOW
+from postproc.theory.models import MODELS, describe
 from postproc.theory.renewal import RENEWAL
 
 if TYPE_CHECKING:
@@ -36,11 +38,9 @@ class Asked:
 
 @pytest.fixture
 def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
-    (tmp_path / "bin").mkdir()
-    monkeypatch.setattr(keeping, "FOLDER", tmp_path / "bin")
-    monkeypatch.setattr(keeping, "PLACE", tmp_path / "theory")
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     keeping._version.cache_clear()
-    yield tmp_path / "theory"
+    yield tmp_path / "battery" / "theory"
     keeping._version.cache_clear()
 
 
@@ -86,30 +86,37 @@ def test_the_answer_to_another_question_is_not_believed(place: Path) -> None:
     assert keeping.kept("states", BATTERY, theory) == [0.5, 2.0]
 
 
-def test_another_program_is_asked_anew(place: Path) -> None:
-    """What walkers are made of is part of the question, as are the modules of the theories."""
-    theory = Asked()
-    keeping.kept("states", BATTERY, theory)
-    (keeping.FOLDER / "one_particle").write_bytes(b"of another build")
-    keeping._version.cache_clear()
-    keeping.kept("states", BATTERY, theory)
-    assert theory.times == 2
-    assert len(list(place.iterdir())) == 2
-
-
 def test_modules_of_the_theories_are_part_of_the_question(
     place: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     theory = Asked()
     keeping.kept("states", BATTERY, theory)
-    (place.parent / "kept.py").write_text("other code")
-    monkeypatch.setattr(keeping, "__file__", str(place.parent / "kept.py"))
+    (place.parent / "code").mkdir()
+    (place.parent / "code" / "kept.py").write_text("other code")
+    monkeypatch.setattr(keeping, "__file__", str(place.parent / "code" / "kept.py"))
     keeping._version.cache_clear()
     keeping.kept("states", BATTERY, theory)
     assert theory.times == 2
 
 
-def test_without_a_build_nothing_is_kept(place: Path) -> None:
-    keeping.FOLDER.rmdir()
+def test_what_cannot_be_kept_is_computed(place: Path) -> None:
+    place.parent.parent.joinpath("battery").write_text("no folder")
     assert keeping.kept("states", BATTERY, Asked()) == [0.5, 2.0]
-    assert not place.exists()
+
+
+def test_whoever_asks_a_theory_that_takes_seconds_asks_once(
+    place: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The command, results and figures share what is kept."""
+    circuit, model = Circuit(40, 2), MODELS["direction"]
+    told = describe(circuit, model)
+    assert place.is_dir()
+
+    def again(*_: object) -> None:
+        raise AssertionError("asked again")
+
+    direction.scan.cache_clear()
+    direction._held_states.cache_clear()
+    monkeypatch.setattr(direction, "Directions", again)
+    assert describe(circuit, model) == told
+    assert [vars(one) for one in model.states(circuit)] == told["roots"]

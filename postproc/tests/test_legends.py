@@ -15,15 +15,15 @@ from postproc.tests.runs import BARE, results_of
 if TYPE_CHECKING:
     from pathlib import Path
 
-MIXED = named(["window", "renewal", "renewal_occupation"])
+MIXED = named(["window", "renewal"])
 SHORT = {"duration": 100.0}
 DRAWN = {
     "comp01": (circuits.figure_comp01, "circuit", MIXED),
     "numris": (maps.figure_numris, "circuit", MIXED),
     "lifetimes": (passages.figure_lifetimes, "circuit", MIXED),
     "app2": (appendix.figure_app2, "urn", MIXED),
-    "app3": (appendix.figure_app3, "urn", appendix.WELL_MIXED),
-    "app4": (appendix.figure_app4, "urn", MIXED[:2]),
+    "app3": (appendix.figure_app3, "urn", MIXED),
+    "app4": (appendix.figure_app4, "urn", MIXED),
     "one_channel": (one_channel.figure_one_channel, "plane", one_channel.PAIR),
 }
 

@@ -89,6 +89,12 @@ def test_states_that_are_not_there_or_never_left() -> None:
     assert math.isinf(battery.polarised)
 
 
+def test_a_state_that_nothing_leaves_lasts_for_ever() -> None:
+    closed = Circuit(20, 0, channel2_width=0.0)
+    with np.errstate(all="raise"):
+        assert chain.passage_times(closed, 0.2, 0.7) == (math.inf, math.inf)
+
+
 def test_lifetimes_grow_with_the_number_of_particles() -> None:
     found = [
         chain.lifetimes(Circuit(number, 2, channel1_length=1000 / number))

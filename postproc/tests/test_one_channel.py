@@ -85,7 +85,7 @@ def test_the_published_line_is_where_the_formula_says(keys: tuple[str, str]) -> 
         assert load == pytest.approx(float(one.threshold), rel=2e-3)
 
 
-@pytest.mark.parametrize("name", ["window", "renewal", "renewal_occupation"])
+@pytest.mark.parametrize("name", ["window", "renewal"])
 @pytest.mark.parametrize("number", [1000, 10000])
 def test_at_the_zero_of_its_slope_the_homogeneous_state_changes(name: str, number: int) -> None:
     """Stable below, unstable beyond, at several T, and whatever length makes the load."""

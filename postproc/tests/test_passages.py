@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from postproc.figures import passages
-from postproc.figures.models import WELL_MIXED
+from postproc.figures.models import named
 from postproc.reading.results import Results
 from postproc.tests.runs import FORGETFUL, results_of
 from postproc.theory.models import MODELS
@@ -25,7 +25,7 @@ def test_lifetimes_are_measured_and_drawn(
     path = results_of(tmp_path / "run.h5", particles={"number": None}, scan=scan)
     with Results(path) as results:
         found = passages.measured([results])
-        made = passages.figure_lifetimes([results], WELL_MIXED)
+        made = passages.figure_lifetimes([results], named(["window", "renewal"]))
     assert [life.polarised for life in found] == [True, False] * 2
     assert [(life.passages, life.replicas) for life in found] == [(2, 2), (0, 2)] * 2
     assert all(0.0 < life.low <= life.time <= life.high < 500.0 for life in found[::2])
@@ -40,7 +40,7 @@ def test_lifetimes_are_measured_and_drawn(
     for life in found:
         times = [one.time for one in found if one.polarised == life.polarised]
         assert ("o" if life.polarised else "^", (500.0, 1000.0), tuple(times)) in drawn
-    assert len(made.legends[0].get_texts()) == 6
+    assert len(made.legends[0].get_texts()) == 5
 
 
 def test_lifetimes_of_runs_that_end_too_early_are_not_too_short() -> None:
@@ -69,5 +69,5 @@ def test_measured_passages_of_free_particles_are_those_of_the_chain(tmp_path: Pa
         found = passages.measured([results])
     for one in found:
         error = 0.5 * (one.high - one.low)
-        expected = one.of_chain(MODELS["renewal_occupation"])
+        expected = one.of_chain(MODELS["renewal"])
         assert one.time == pytest.approx(expected, abs=4.0 * error + 1.0)

@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy import integrate
+from scipy import integrate, optimize
 
 from postproc.tests.commands import call
 from postproc.theory.circuit import (
@@ -24,8 +24,9 @@ from postproc.theory.circuit import (
     transition_width,
 )
 from postproc.theory.gates import WINDOW
+from postproc.theory.models import MODELS, describe
 from postproc.theory.renewal import RENEWAL
-from postproc.theory.states import stable_spread, stationary_states
+from postproc.theory.states import crossings, stable_spread, stationary_states
 
 PAPER = Circuit(number=1000, threshold=7)
 THRESHOLDS = (1, 2, 4, 7, 12, 15, 18, 25)
@@ -191,6 +192,26 @@ def test_threshold_zero_lets_nothing_through() -> None:
     assert stationary_states(circuit) == []
 
 
+def test_a_constant_balance_is_not_searched_for_minima(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A gate that lets nobody pass makes it constant over half of the places."""
+
+    def search(*_: object, **__: object) -> None:
+        raise AssertionError("searched")
+
+    monkeypatch.setattr(optimize, "minimize_scalar", search)
+    places = np.linspace(1.0, 0.0, 50)
+    assert crossings(lambda at: np.full(np.shape(at), 2.0), places, np.full(50, 2.0)) == []
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_no_gate_reverses_from_all_particles_on(name: str) -> None:
+    model = MODELS[name]
+    one, far = (describe(Circuit(40, threshold), model) for threshold in (40, 10**9))
+    assert one == far
+    line = model.transition_line(Circuit(4, 10**9), 1, 10**9) if model.mixed else ([4.0], [])
+    assert line[0][-1] == 4.0
+
+
 def test_no_gate_is_felt_at_a_threshold_of_all_particles() -> None:
     circuit = replace(PAPER, threshold=1000)
     free = 600 * 0.3 / (math.pi * float(circuit.urn_area))
@@ -226,7 +247,7 @@ def test_single_urn_is_the_gates_flow() -> None:
 def test_command_line_prints_the_contract(capsys: pytest.CaptureFixture[str]) -> None:
     assert call("theory", ["--number", "1000", "--threshold", "7"]) == 0
     printed = json.loads(capsys.readouterr().out)
-    assert set(printed) == {"homogeneous", "roots", "transition_width", "urn_area"}
+    assert set(printed) == {"homogeneous", "roots", "transition_width", "urn_area", "direction"}
     assert set(printed["roots"][0]) == {"urn2_number", "kind", "mass_spread", "net_current"}
 
 

@@ -1,12 +1,12 @@
 """Results of a theory for one circuit, as JSON: stationary states, transition.
 
-Options are named like the keys of the namelist; lengths are over the speed v = 1. The net current
-of two_port and direction includes circulation, which is printed as well. All except window and
-renewal always count particles in the channels. With --tricritical, for theories of well mixed urns:
+Options are named like the keys of the namelist; lengths are over the speed v = 1. Without --model
+the results are those of window, the paper's theory, and under its own name those of direction, or
+of renewal if the urns are polygons. The net current of direction includes circulation, which is
+printed as well. It is that of a run of the given age, and net_current_infinite_age that which no
+run reaches: circulations of ever more rounds build up. With --tricritical, for window and renewal:
 the point on the line of transition at which a jump becomes continuous, at this T, w, l and r, and
-which of the two the transition is at this N. With --age, for two_port and direction: the net
-current of a run of that age, in the most polarised stable state. Circulations of more rounds than
-fit into it are left out.
+which of the two the transition is at this N.
 """
 
 from __future__ import annotations
@@ -16,8 +16,9 @@ import json
 from postproc import cli
 from postproc.progress import doing
 from postproc.theory import tricritical
+from postproc.theory.circuit import PAPERS_AGE
 from postproc.theory.models import MODELS, describe
-from postproc.theory.options import circuit_options, given_circuit
+from postproc.theory.options import beside, circuit_options, given_circuit, given_models
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -27,25 +28,25 @@ def main(arguments: list[str] | None = None) -> int:
         "--tricritical", action="store_true", help="where the transition turns into a jump"
     )
     options.add_argument(
-        "--age", type=cli.number(0.0), nargs="+", metavar="A", help="of a run, one or several"
-    )
+        "--age", type=cli.number(0.0), metavar="A",
+        help=f"of the run, for its net current (default: {PAPERS_AGE:g}, that of the paper's runs)",
+    )  # fmt: skip
     given = options.parse_args(arguments)
-    circuit, model = given_circuit(given), MODELS[given.model]
-    with doing(f"theory {given.model}"):
-        answer = describe(circuit, model)
-    if given.tricritical:
-        if not model.mixed:
-            mixed = " or ".join(name for name, one in MODELS.items() if one.mixed)
-            raise cli.InputError(f"--tricritical is of --model {mixed}")
-        there = tricritical.tricritical(model.of(circuit))
-        answer["transition"] = tricritical.order(model.of(circuit))
-        answer["tricritical"] = vars(there) if there else None
-    if given.age is not None:
-        if model.by_age is None:
-            aged = " or ".join(name for name, one in MODELS.items() if one.by_age)
-            raise cli.InputError(f"--age is of --model {aged}")
-        answer["by_age"] = model.by_age(model.of(circuit), given.age)
-    print(json.dumps(answer, indent=2))
+    circuit = given_circuit(given)
+    models = given_models(given, circuit)
+    for option, able in (("age", "aged"), ("tricritical", "mixed")):
+        if getattr(given, option) and not any(getattr(one, able) for one in models):
+            known = " or ".join(name for name, one in MODELS.items() if getattr(one, able))
+            raise cli.InputError(f"--{option} is of --model {known}")
+    answers = []
+    for model in models:
+        with doing(f"theory {model.name}"):
+            answers.append(describe(circuit, model))
+        if given.tricritical and model.mixed:
+            there = tricritical.tricritical(model.of(circuit))
+            answers[-1]["transition"] = tricritical.order(model.of(circuit))
+            answers[-1]["tricritical"] = vars(there) if there else None
+    print(json.dumps(beside(models, answers), indent=2))
     return 0
 
 

@@ -72,7 +72,8 @@ def log_rates(circuit: Circuit, theory: Theory = WELL_MIXED) -> tuple[Floats, Fl
 
 def log_weights(log_up: Floats, log_down: Floats) -> Floats:
     """Return the logarithm of the stationary distribution of a chain, normalised."""
-    steps = log_up[:-1] - log_down[1:]
+    moves = np.isfinite(log_up[:-1]) | np.isfinite(log_down[1:])  # else no particle passes
+    steps = np.subtract(log_up[:-1], log_down[1:], out=np.zeros(moves.size), where=moves)
     weights = np.concatenate([[0.0], np.cumsum(steps)])
     weights -= weights.max()
     return weights - np.log(np.exp(weights).sum())

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 
     Floats = NDArray[np.float64]
 
+PAPERS_AGE = 1.4e5  # at which the paper's runs end
 ROUNDS = 60  # at most, of the iteration for the numbers in urns and channels
 TINY = 1e-300
 WIDTHS_TRIED = 400  # values between 0 and 2r at which a transition is searched for
@@ -60,6 +61,7 @@ class Circuit:
         figures; no theory includes them (`InputError`).
     outline, urn2_outline : the corners of urns that are polygons, see `outlines`; None: discs
         (and urn 2 as urn 1). Then `urn_radius` is only a length scale.
+    age : age of the run, its time since the start, for theories whose net current grows with it.
     """
 
     number: ArrayLike
@@ -77,6 +79,7 @@ class Circuit:
     scatterers: tuple[tuple[float, float, float], ...] = ()
     outline: Outline | None = None
     urn2_outline: Outline | None = None
+    age: float = PAPERS_AGE
 
     def need_empty_channels(self) -> None:
         """Raise `InputError` if there are scatterers in channel 2, which no theory has."""

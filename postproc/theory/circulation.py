@@ -38,6 +38,7 @@ groups of particles (`circulating`).
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -52,6 +53,7 @@ if TYPE_CHECKING:
 
     from postproc.theory.circuit import Circuit
     from postproc.theory.ports import Ports
+    from postproc.theory.states import State
 
     Floats = NDArray[np.float64]
     Integers = NDArray[np.int64]
@@ -273,6 +275,15 @@ def beyond(late: Floats, decay: float, rounds: Floats) -> Floats:
     height = (m * np.exp(decay * m) * late[LATE:]).mean()
     ends = [special.exp1(decay * (one + 0.5)) for one in (ROUNDS, np.maximum(rounds, ROUNDS))]
     return height * (ends[0] - ends[1])
+
+
+def with_circulation(state: State, around: Floats, error: Floats) -> State:
+    """Return a state with the circulating currents at the circuit's age and at an infinite one."""
+    now, late = map(float, around)
+    return replace(
+        state, net_current=state.net_current + now, circulating_current=now,
+        net_current_infinite_age=state.net_current + late, net_current_error=float(error[0]),
+    )  # fmt: skip
 
 
 def carried(

@@ -39,18 +39,17 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy import linalg, optimize
 
+from postproc.cli import InputError
 from postproc.progress import doing
 from postproc.theory import fate, ports
 from postproc.theory.chain import between
 from postproc.theory.circuit import Circuit
-from postproc.theory.circulation import FIRST, circulating
+from postproc.theory.circulation import FIRST, circulating, with_circulation
 from postproc.theory.ports import stays
 from postproc.theory.states import State
 from postproc.theory.visits import NARROW, visits
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from numpy.typing import ArrayLike, NDArray
 
 
@@ -62,11 +61,10 @@ NARROWEST = 1e-6  # width of channel 2, in radii, that represents a closed one
 ROUNDS = 80  # at most, of the iteration of gates and flows
 AGREED = 1e-5  # change of q, and of flows relative to the largest, at which it ends
 KEPT = 0.3  # weight of q of the previous iteration, against overshooting
-LEAST_SHARE = (
-    1e-3  # of the particles in urns, in the emptier one, down to which states are searched for
-)
-EVENLY, FALLING = 10, 10  # points down to a tenth, and below it
-NEARER = 5  # bisections of the last step towards the number that channel 2 alone brings
+LEAST_SHARE = 1e-3  # of the particles in urns, in the emptier one, down to which all is computed
+EVENLY, FALLING = 10, 10  # points down to a tenth, and from there to `LEAST_SHARE`
+FURTHER, FEWEST = 10.0**-0.5, 1e-12  # step and end of shares below it, until a state is passed
+NEARER, NEAREST = 5, 40  # bisections of the last step towards what channel 2 alone brings, or more
 NEXT_TO_EQUAL = 0.02  # distance of the first from equal urns
 
 
@@ -107,8 +105,9 @@ def polynomials(sine: Floats) -> Floats:
 def transfer(radius: float, width1: float, width2: float) -> Transfer:
     """Return the transfer of directions by a disc with openings of these widths.
 
-    Summed over `visits`, and normalised such that all particles leave, a change below 1e-6. For
-    narrow openings their limit is used.
+    Summed over `visits`, and corrected such that all particles leave: quadrature loses up to 1e-6
+    of them, and 5e-3 of the highest polynomial, more than leave through a very narrow channel 2.
+    For narrow openings their limit is used.
     """
     widths = (width1, width2)
     if max(widths) < NARROW * radius:
@@ -124,8 +123,10 @@ def transfer(radius: float, width1: float, width2: float) -> Transfer:
                 inside = stays(radius, part, widths[own], widths[other])
                 stay[own] += entering @ (weight * inside).ravel()
                 kernel[own, out] += (entering * weight.ravel()) @ leaving.T
-    for own in (0, 1):  # all particles leave
-        kernel[own, own, 0, 0] += 1.0 - kernel[own, :, 0, 0].sum()
+    for own in (0, 1):  # all particles leave, whatever their directions; so do reversed ones
+        lost = np.eye(POLYNOMIALS)[0] - kernel[own, :, :, 0].sum(axis=0)
+        kernel[own, own, :, 0] += lost
+        kernel[own, own, 0, 1:] += lost[1:]
     return Transfer(kernel, stay)
 
 
@@ -323,17 +324,21 @@ def scan(circuit: Circuit) -> tuple[tuple[float, Held], ...]:
     if not circuit.alike:
         shares = [*(1.0 - one for one in reversed(shares)), *shares]
     found: list[tuple[float, Held]] = []
-    tries = NEARER
+    tries = 0
     with doing("directions, share", len(shares)) as advance:
-        while shares and tries:
+        while shares and (tries < NEARER or (tries < NEAREST and _excess(found[-1][1]) > 0.0)):
             held = equations.held(shares[0], found[-1][1] if found else None)
             if held.possible:
                 found.append((shares.pop(0), held))
             elif found:
-                shares, tries = [0.5 * (found[-1][0] + shares[0])], tries - 1
+                shares, tries = [0.5 * (found[-1][0] + shares[0])], tries + 1
             else:
                 shares.pop(0)
+            if not shares and found and _excess(found[-1][1]) > 0.0 and found[-1][0] > FEWEST:
+                shares = [FURTHER * found[-1][0]]
             advance()
+    if not found:
+        raise InputError(f"theory direction: it finds no flows between the urns, {circuit.brief}")
     return tuple(found)
 
 
@@ -361,7 +366,7 @@ def homogeneous_kind(circuit: Circuit) -> str:
 def _held_states(circuit: Circuit) -> tuple[tuple[Held, str], ...]:
     """Return the circuit held in each of its states, and the kind of the state.
 
-    As `scan`, it is asked for states, kinds and currents by age.
+    As `scan`, it is asked for states and kinds.
     """
     equations, found = Directions(circuit), []
     for (one, here), (other, there) in pairwise(scan(circuit)):
@@ -381,6 +386,8 @@ def _held_states(circuit: Circuit) -> tuple[tuple[Held, str], ...]:
 
         optimize.brentq(excess, other, one, xtol=1e-5)
         found.append((latest[0], "stable" if before > 0.0 else "unstable"))
+    if circuit.alike and _excess(there) > 0.0:  # all that channel 2 does not bring is in one urn
+        found.append((there, "stable"))
     return tuple(found)
 
 
@@ -403,20 +410,11 @@ def stationary_states(circuit: Circuit) -> list[State]:
     """Return all states of a circuit, for equal urns those with N2 > N/2 (chi above 0.02)."""
     number, found = float(circuit.number), []
     for held, kind in _held_states(circuit):
-        (current, error), second = map(float, around(circuit, held)), float(held.in_half[1])
+        second = float(held.in_half[1])
         chi = abs(2.0 * second - number) / number
-        total = held.net_current + current
-        found.append(State(second, kind, chi, total, current, net_current_error=error))
+        state = State(second, kind, chi, held.net_current)
+        found.append(with_circulation(state, *around(circuit, held, [circuit.age, math.inf])))
     return found
-
-
-def by_age(circuit: Circuit, ages: Sequence[float]) -> list[dict[str, float]]:
-    """Return the net current of runs of each age in the most polarised stable state, if any."""
-    held = most_polarised(circuit)
-    if held is None:
-        return []
-    return [{"age": age, "net_current": held.net_current + float(one)}
-            for age, one in zip(ages, around(circuit, held, ages)[0], strict=True)]  # fmt: skip
 
 
 def flows(circuit: Circuit, number2: float) -> Floats:

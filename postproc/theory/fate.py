@@ -44,6 +44,7 @@ CLOSED = 0.01  # least overall share at which the correction is from first passa
 FREE = 1.0 - 1e-12  # overall share above which all particles pass
 STEEPEST = 60.0  # power of S
 SMALL = 1e-200
+HUGE = 1e300  # chance over that of T inside, from which the latter is 0
 LEAST = 1e-300  # chance of which the logarithm is taken for that of 0
 
 
@@ -253,7 +254,8 @@ def _found(threshold: int, load: float, full: float) -> Floats:
         # the flow up from k returns from k + 1 or by an emptying: p_k in units of p_T
         chances = [1.0]
         for k in range(threshold, 0, -1):
-            chances.append(k / x * chances[-1] + 1.0)  # x p_(k-1) = k p_k + x p_T
+            # x p_(k-1) = k p_k + x p_T
+            chances.append(min(k / float(x) * chances[-1] + 1.0, HUGE))
         found = np.array(chances[::-1])
         return found / found.sum()
 

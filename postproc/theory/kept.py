@@ -1,8 +1,8 @@
-"""Cache under build/ of results of theories that take seconds.
+"""Cache in the user's folder of results of theories that take seconds.
 
-Each result has a file, named by all that it depends on: the question, the circuit, the program used
-and the modules of this package. The file contains this key as well. So a result that is old,
-damaged, or of another circuit is never used.
+Each result has a file, named by all that it depends on: the question, the circuit, and the modules
+of this package. The file contains this key as well. So a result that is old, damaged, or of another
+circuit is never used.
 """
 
 from __future__ import annotations
@@ -15,14 +15,21 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from postproc.progress import doing
-from postproc.theory.programs import FOLDER
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from postproc.theory.circuit import Circuit
 
-PLACE = FOLDER.parent / "theory"
+
+def place() -> Path:
+    """Return the folder of the cache, in $XDG_CACHE_HOME or ~/.cache."""
+    given = os.environ.get("XDG_CACHE_HOME", "")
+    try:
+        base = Path(given) if Path(given).is_absolute() else Path.home() / ".cache"
+    except RuntimeError:  # a user without a home: a place in which nothing can be kept
+        base = Path(os.devnull)
+    return base / "battery" / "theory"
 
 
 def kept(question: str, circuit: Circuit, compute: Callable[[], object]) -> object:
@@ -31,7 +38,7 @@ def kept(question: str, circuit: Circuit, compute: Callable[[], object]) -> obje
     If the folder is not writable nothing is stored.
     """
     key = f"{question} {circuit!r} {_version()}"
-    path = PLACE / f"{hashlib.sha256(key.encode()).hexdigest()}.json"
+    path = place() / f"{hashlib.sha256(key.encode()).hexdigest()}.json"
     try:
         stored = json.loads(path.read_text(encoding="utf-8"))
         if stored["asked"] == key:
@@ -41,11 +48,10 @@ def kept(question: str, circuit: Circuit, compute: Callable[[], object]) -> obje
     with doing(f"{' '.join(question.split()[:2])}, {circuit.brief}"):
         found = compute()
     try:
-        if FOLDER.is_dir():
-            PLACE.mkdir(exist_ok=True)
-            half = path.with_suffix(f".{os.getpid()}")
-            half.write_text(json.dumps({"asked": key, "found": found}), encoding="utf-8")
-            half.replace(path)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        half = path.with_suffix(f".{os.getpid()}")
+        half.write_text(json.dumps({"asked": key, "found": found}), encoding="utf-8")
+        half.replace(path)
     except OSError:
         pass
     return found
@@ -53,9 +59,8 @@ def kept(question: str, circuit: Circuit, compute: Callable[[], object]) -> obje
 
 @cache
 def _version() -> str:
-    """Return a digest of the program and of the modules."""
+    """Return a digest of the modules and their data."""
     digest = hashlib.sha256()
-    for path in sorted([*Path(__file__).parent.glob("*.[pj]*"), FOLDER / "one_particle"]):
-        if path.is_file():
-            digest.update(path.read_bytes())
+    for path in sorted(Path(__file__).parent.glob("*.[pj]*")):
+        digest.update(path.read_bytes())
     return digest.hexdigest()

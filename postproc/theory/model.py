@@ -16,8 +16,9 @@ from scipy import interpolate
 
 from postproc.cli import InputError
 from postproc.progress import each
-from postproc.theory.chain import between, passage_times
+from postproc.theory.chain import Lifetimes, between, lifetimes, passage_times
 from postproc.theory.circuit import (
+    PAPERS_AGE,
     eta,
     flow1,
     flow2,
@@ -27,13 +28,12 @@ from postproc.theory.circuit import (
     transition_width,
 )
 from postproc.theory.kept import kept
-from postproc.theory.programs import absence
 from postproc.theory.renewal import RENEWAL
 from postproc.theory.states import WELL_MIXED, State
 from postproc.theory.tricritical import cubic
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
+    from collections.abc import Callable, Mapping
 
     from numpy.typing import ArrayLike, NDArray
 
@@ -72,11 +72,8 @@ class Model:
     unlike : its functions for other circuits; None: it has none.
     mixed : whether its urns are well mixed and its states are zeros of eta. Then it has an eta, the
         line of eq. (transition), a tricritical point, and applies to the single urn.
-    draws : whether it uses random numbers, so that its results have errors.
-    program : program that it runs; "": none.
-    largest : largest N to which it is applied.
     extras : further output.
-    by_age : net current of runs of each age in the most polarised stable state; None: it has none.
+    aged : whether its net current depends on the age of the run, `Circuit.age`.
     """
 
     name: str
@@ -92,11 +89,8 @@ class Model:
     theory: Theory = WELL_MIXED
     unlike: Theory | None = None
     mixed: bool = False
-    draws: bool = False
-    program: str = ""
-    largest: float = math.inf
     extras: Callable[[Circuit], dict[str, object]] = _no_extras
-    by_age: Callable[[Circuit, Sequence[float]], list[dict[str, float]]] | None = None
+    aged: bool = False
 
     @property
     def has_rates(self) -> bool:
@@ -116,7 +110,7 @@ class Model:
             (self.has_rates, "eta, lifetimes"),
             (self.has_line, "line of transition"),
             (self.mixed, "tricritical point, single urn, polygons"),
-            (self.by_age is not None, "age of a run"),
+            (self.aged, "age of a run"),
         )
         return [words for known, words in abilities if known]
 
@@ -126,16 +120,16 @@ class Model:
             return f"theory {self.name}: of the single urn it says nothing"
         if self.unlike is None and not circuit.alike:
             return f"theory {self.name}: it needs two equal urns and gates"
-        if self.largest < math.inf and float(circuit.number) > self.largest:
-            return f"theory {self.name}: it is asked up to N = {self.largest:g}"
-        return absence(self.program) if self.program else ""
+        if circuit.outline is not None and not self.mixed:
+            return f"theory {self.name}: it knows urns that are discs only, these are polygons"
+        return ""
 
     def of(self, circuit: Circuit) -> Circuit:
         """Return the circuit for this theory; raise `InputError` if it does not apply."""
         circuit.need_empty_channels()
         if refused := self.refusal(circuit):
             raise InputError(refused)
-        return replace(circuit, **self.changes)
+        return replace(circuit, **_reachable(circuit), **self.changes)
 
     def theory_of(self, circuit: Circuit) -> Theory:
         """Return the functions for a circuit, depending on whether urns and gates are equal."""
@@ -165,7 +159,10 @@ class Model:
         """Return the result of `compute`, from the cache unless it is fast."""
         if self.mixed:
             return compute()
-        return kept(f"{what} {self.name} {at}", self.of(circuit), compute)
+        own = self.of(circuit)
+        if what != "states":  # nothing else depends on it
+            own = replace(own, age=PAPERS_AGE)
+        return kept(f"{what} {self.name} {at}", own, compute)
 
     def stable_state(self, circuit: Circuit) -> State | None:
         """Return the stable polarised state with the largest chi, None if there is none."""
@@ -233,7 +230,8 @@ class Model:
         Beyond its last T the homogeneous state is stable without channel 2, so the line ends at w'
         = 0.
         """
-        own, whole = self.of(circuit), np.arange(max(first, 1), last + 1)
+        last = min(last, max(int(np.max(circuit.number)), 1))  # no gate reverses from T = N on
+        own, whole = self.of(circuit), np.arange(min(max(first, 1), last), last + 1)
         if not self.has_line:
             return whole.astype(float), np.full(whole.shape, math.nan)
         label = f"line of transition, {self.label}, threshold"
@@ -277,6 +275,13 @@ class Model:
         """Return the current of the single urn of the appendix (per unit time)."""
         return single_urn_current(self.of(urn))
 
+    def lifetimes(self, circuit: Circuit) -> Lifetimes:
+        """Return the lifetimes of both states of equal urns and gates."""
+        own = self.of(circuit)
+        return Lifetimes(**self._cached(
+            "lifetimes", circuit, lambda: vars(lifetimes(own, self.theory))
+        ))  # fmt: skip
+
     def passage_times(self, circuit: Circuit, low: float, high: float) -> tuple[float, float]:
         """Return the lifetimes of homogeneous and polarised state by the chain (length/v).
 
@@ -290,6 +295,14 @@ class Model:
             lambda: passage_times(own, low, high, theory=self.theory), (low, high),
         )  # fmt: skip
         return one, two
+
+
+def _reachable(circuit: Circuit) -> dict[str, object]:
+    """Return the thresholds of a circuit, at most N: no gate reverses from T = N on."""
+    names = ("threshold", "gate2_threshold")
+    given = {name: getattr(circuit, name) for name in names}
+    return {name: np.minimum(one, circuit.number) if np.ndim(one) else min(one, circuit.number)
+            for name, one in given.items() if one is not None}  # fmt: skip
 
 
 def _carried(circuit: Circuit, number2: float) -> Floats:

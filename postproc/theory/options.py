@@ -10,12 +10,14 @@ import numpy as np
 
 from postproc import cli
 from postproc.theory.circuit import Circuit
-from postproc.theory.models import MODELS
+from postproc.theory.models import MODELS, defaults
 from postproc.theory.outlines import outline_of, regular, widest
 
 if TYPE_CHECKING:
     import argparse
+    from collections.abc import Sequence
 
+    from postproc.theory.model import Model
     from postproc.theory.outlines import Outline
 
 
@@ -49,20 +51,23 @@ def circuit_options(name: str, description: str | None) -> argparse.ArgumentPars
         help="corners x1 y1 x2 y2 ... of both urns, x to channel 1",
     )  # fmt: skip
     options.add_argument(
-        "--model", "--gate", choices=tuple(MODELS), default="window",
-        help=f"{meanings} (default: window)",
+        "--model", choices=tuple(MODELS),
+        help=f"{meanings} (default: window, and beside it direction, or renewal for polygons)",
     )  # fmt: skip
-    options.add_argument(
-        "--occupation", action="store_true", help="tell those in the channels from those in urns"
-    )
     return options
+
+
+def given_models(given: argparse.Namespace, circuit: Circuit) -> tuple[Model, ...]:
+    """Return the theory that is named, or the default ones for a circuit."""
+    return (MODELS[given.model],) if given.model else defaults([circuit])
 
 
 def given_circuit(given: argparse.Namespace) -> Circuit:
     """Return the circuit of the options, checked; the model chooses its gate."""
     _check(given)
-    names = {field.name for field in fields(Circuit)} - {"gate", "shape"}
-    values = {name: value for name, value in vars(given).items() if name in names}
+    names = {field.name for field in fields(Circuit)} - {"gate", "occupation", "shape"}
+    values = {name: value for name, value in vars(given).items()
+              if name in names and value is not None}  # fmt: skip
     values["threshold"], *other_threshold = given.threshold
     values["urn_radius"], *other_radius = given.urn_radius
     return Circuit(
@@ -71,6 +76,12 @@ def given_circuit(given: argparse.Namespace) -> Circuit:
         gate2_threshold=other_threshold[0] if other_threshold else None,
         urn2_radius=other_radius[0] if other_radius else None,
     )
+
+
+def beside(models: Sequence[Model], answers: Sequence[dict[str, object]]) -> dict[str, object]:
+    """Return the answer of the first theory, and under its name that of each other one."""
+    others = zip(models[1:], answers[1:], strict=True)
+    return answers[0] | {model.name: answer for model, answer in others}
 
 
 def _given_outlines(given: argparse.Namespace) -> dict[str, Outline | None]:

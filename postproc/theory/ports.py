@@ -7,9 +7,9 @@ through 2), and the four probabilities follow from one: P22 = a, P21 = 1 - a, P1
 P11 = 1 - P12. The mean stays t1, t2 after entries through 1 and 2 obey w t1 + w' t2 = pi A, since
 the urn is filled uniformly.
 
-A well mixed urn has a = w'/(w + w') and t1 = t2. A disc with opposite openings has not: of the
-orbits that would return to opening 2 those with an even number of chords reach opening 1 first, so
-only odd polygons return (`returns`), however small the openings.
+A well mixed urn has a = w'/(w + w') and t1 = t2. A disc has not, however small the openings: a
+particle comes back along a nearly closed polygon that misses opening 1, and such polygons have few
+sides (`returns`; where the openings are opposite an odd number).
 """
 
 from __future__ import annotations

@@ -46,10 +46,13 @@ class State:
     urn2_number : N2.
     kind : "stable" or "unstable".
     mass_spread : chi = |N1 - N2|/N, eq. (mass).
-    net_current : of channel 1 from urn 1 to urn 2, and back through channel 2 (per unit time).
+    net_current : of channel 1 from urn 1 to urn 2, and back through channel 2 (per unit time), in a
+        run of the circuit's age.
     circulating_current : the part of circulating particles, which have no wall hit in an urn; None
         if the theory does not have it.
-    mass_spread_error, net_current_error : standard errors if the theory uses random numbers.
+    net_current_infinite_age : the net current that no run reaches, of circulations of ever more
+        rounds; None if it does not depend on the age.
+    net_current_error : standard error if the theory uses random numbers.
     """
 
     urn2_number: float
@@ -57,7 +60,7 @@ class State:
     mass_spread: float
     net_current: float
     circulating_current: float | None = None
-    mass_spread_error: float | None = None
+    net_current_infinite_age: float | None = None
     net_current_error: float | None = None
 
 
@@ -146,7 +149,8 @@ def _with_close_pairs(
     same = (np.sign(values[:-2]) == np.sign(values[1:-1])) & (
         np.sign(values[2:]) == np.sign(values[1:-1])
     )
-    dips = np.flatnonzero(same & (size[1:-1] <= size[:-2]) & (size[1:-1] <= size[2:])) + 1
+    flat = (size[1:-1] == size[:-2]) & (size[1:-1] == size[2:])
+    dips = np.flatnonzero(same & ~flat & (size[1:-1] <= size[:-2]) & (size[1:-1] <= size[2:])) + 1
     extra = []
     for at in dips:
         sign = np.sign(values[at])

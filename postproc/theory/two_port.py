@@ -23,11 +23,11 @@ import numpy as np
 from scipy import optimize
 
 from postproc.theory import ports
-from postproc.theory.circulation import circulating, followed
+from postproc.theory.circulation import circulating, followed, with_circulation
 from postproc.theory.states import State, crossings, places_of
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable
 
     from numpy.typing import ArrayLike, NDArray
 
@@ -193,11 +193,7 @@ def stationary_states(circuit: Circuit, memory: Memory = ports.disc) -> list[Sta
         if memory is not ports.disc:
             found.append(state)
             continue
-        around, error = map(float, _around(circuit, at))
-        found.append(replace(
-            state, net_current=state.net_current + around, circulating_current=around,
-            net_current_error=error,
-        ))  # fmt: skip
+        found.append(with_circulation(state, *_around(circuit, at, [circuit.age, math.inf])))
     return found
 
 
@@ -302,14 +298,3 @@ def transition_width(circuit: Circuit, start: float) -> float:
             if values[k] > 0.0 >= values[k + 1]:
                 return float(optimize.brentq(at, places[k], places[k + 1], rtol=1e-6))
     return math.nan
-
-
-def by_age(circuit: Circuit, ages: Sequence[float]) -> list[dict[str, float]]:
-    """Return the net current of runs of each age in the most polarised stable state, if any."""
-    stable = [one for one in _states(circuit, ports.disc) if one[1].kind == "stable"]
-    if not stable:
-        return []
-    at, state = max(stable, key=lambda one: one[1].mass_spread)
-    around, _ = _around(circuit, at, ages)
-    return [{"age": age, "net_current": state.net_current + float(one)}
-            for age, one in zip(ages, around, strict=True)]  # fmt: skip

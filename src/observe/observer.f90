@@ -14,7 +14,7 @@
 !>
 !> **Standard errors** come from the run itself (`battery_blocks`). They are NaN if the run is known
 !> to be too short:
-!> - for all averages, if it is shorter than ten relaxation times of the directions of motion;
+!> - for all averages, if it is shorter than ten times `relaxation_time` of the table;
 !> - for currents, in a polarised state in which the gate of the sparse urn hardly ever reverses:
 !>   particles that circulate along the axis carry part of the current until that gate reverses
 !>   them, so the run must have several such reversals;

@@ -192,10 +192,11 @@ contains
     end associate
   end function shortest_excursion
 
-  !> Time in which the directions of motion relax in the larger urn: 25 r^4/w^3 in discs
-  !> (docs/theory.md), with r the radius of a disc of the urn's area. Huge if channel 1 is closed,
-  !> or if particles have only finitely many directions. Errors of a run shorter than ten times this
-  !> are not estimated.
+  !> Bound of the time in which the directions of motion relax in the larger urn: 25 r^4/w^3, with r
+  !> the radius of a disc of the urn's area. In discs they relax in 19 r^4/w^3 (docs/theory.md): the
+  !> 25 takes each passage as long as the mean one, but oblique particles are faster. It is kept,
+  !> since no error should be given too early. Huge if channel 1 is closed, or if particles have
+  !> only finitely many directions. Errors of a run shorter than ten times this are not estimated.
   pure function relaxation_time(table) result(time)
     type(table_type), intent(in) :: table
     real(wp) :: time, radius

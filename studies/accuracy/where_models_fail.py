@@ -16,7 +16,6 @@ import numpy as np
 
 import postproc
 from postproc.figures import style
-from postproc.theory.models import MODELS
 from studies.accuracy import ladder
 
 if TYPE_CHECKING:
@@ -91,7 +90,7 @@ def of_theory(model: str, points: list[tuple[int, float]]) -> Points:
     found = {}
     for at in points:
         circuit = replace(ladder.BATTERY, threshold=at[0], channel2_width=at[1])
-        stable = MODELS[model].solve_stable(circuit)
+        stable = THEORIES[model].solve_stable(circuit)
         state = max(stable, key=lambda one: one.mass_spread, default=None)
         chi, current = (state.mass_spread, state.net_current) if state else (0.0, 0.0)
         found[at] = chi, abs(current) / chi if chi > 0.0 else math.nan

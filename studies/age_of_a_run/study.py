@@ -18,6 +18,7 @@ import numpy as np
 import postproc
 from postproc.figures import style
 from studies.common import study
+from studies.common.theories import told
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -55,7 +56,7 @@ def rows_of(work: study.Study, name: str) -> list[dict[str, object]]:
     bins = list(itertools.pairwise(edges.tolist()))
     keys = {"threshold": groups["gate"]["threshold"], "number": groups["particles"]["number"]}
     keys |= {key: groups["table"][key] for key in ("channel1_width", "channel2_width")}
-    theory = work.theory("two_port", **keys, age=[middle(*one) for one in bins])["by_age"]
+    theory = [told("two_port", middle(*one), **keys)["roots"][-1] for one in bins]
     found = []
     for (low, high), predicted in zip(bins, theory, strict=True):
         here = (time > low) & (time <= high)

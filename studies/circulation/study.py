@@ -30,6 +30,7 @@ from studies.common.event_log import (
     particle_events,
     read_log,
 )
+from studies.common.theories import THEORIES
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -70,7 +71,7 @@ class Case:
     @property
     def circuit(self) -> Circuit:
         """The circuit as `two_port` asks for it."""
-        return MODELS["two_port"].of(
+        return THEORIES["two_port"].of(
             Circuit(1000, self.threshold, channel2_width=self.channel2_width,
                     channel2_length=self.channel2_length)
         )  # fmt: skip
@@ -90,7 +91,7 @@ CASES = (
 
 def state_of(circuit: Circuit, model: str = "two_port") -> State:
     """Return the most polarised stable state by a model."""
-    return max(MODELS[model].solve_stable(circuit), key=lambda one: one.mass_spread)
+    return max(THEORIES[model].solve_stable(circuit), key=lambda one: one.mass_spread)
 
 
 def spread_of(log: Log, at_start: int, end: float) -> tuple[float, float]:

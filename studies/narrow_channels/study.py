@@ -28,8 +28,9 @@ import numpy as np
 
 import postproc
 from postproc.figures import style
-from postproc.theory.models import MODELS
 from studies.common import study
+from studies.common.theories import THEORIES
+from studies.common.theories import told as theories_told
 from studies.narrow_channels import visits
 
 if TYPE_CHECKING:
@@ -55,7 +56,7 @@ CASES = {
 NEAR = {"E": (0.03, (15, 15)), "F": (0.3, (10, 10))}
 QUICK, FULL = (0.3, 0.2, 0.1), (0.3, 0.2, 0.1, 0.05)
 LIMIT = 0.001  # w that stands for the limit in theories
-ASKED = tuple(name for name in MODELS if name not in ("renewal", "renewal_chain"))
+ASKED = tuple(name for name in THEORIES if name != "renewal")
 WALKED = 0.02  # w of walkers in circuits A and D
 VISITS = ((0.01, 2_000_000),)  # w and how many
 RATIOS = (0.001, 0.003, 0.01, 0.03, 0.1, 0.2, 0.3, 1.0)
@@ -110,26 +111,23 @@ def circuit_of(case: str) -> tuple[float, tuple[int, int]]:
     return (CASES | NEAR)[case]
 
 
-def told(
-    work: study.Study, model: str, case: str, width: float, age: float | None = None
-) -> dict[str, float]:
+def told(model: str, case: str, width: float, age: float = math.inf) -> dict[str, float]:
     """Return what a theory says of the stable state with the largest current.
 
-    An empty dictionary if the homogeneous state is the only one. `age` adds "at_age", the net
-    current of a run of that age.
+    An empty dictionary if the homogeneous state is the only one. With an age the net current is that
+    of a run of this age, "at_age" its absolute value.
     """
     ratio, thresholds = circuit_of(case)
-    more = {} if age is None else {"age": age}
-    found = work.theory(
-        model, number=round(LOAD / width), threshold=thresholds, channel1_width=width,
-        channel2_width=ratio * width, **more,
+    found = theories_told(
+        model, age, number=round(LOAD / width), threshold=thresholds, channel1_width=width,
+        channel2_width=ratio * width,
     )  # fmt: skip
     states = [one for one in found["roots"] if one["kind"] == "stable"]
     if not states:
         return {}
     best = max(states, key=lambda one: abs(one["net_current"]))
-    if age is not None:
-        best["at_age"] = abs(found["by_age"][0]["net_current"])
+    if age < math.inf:
+        best["at_age"] = abs(best["net_current"])
     return best
 
 
@@ -153,7 +151,7 @@ def measured(work: study.Study, case: str, width: float) -> dict[str, float]:
     """Run one of A to D at one width; return means over replicas with errors."""
     ratio, thresholds = CASES[case]
     number = round(LOAD / width)
-    start = told(work, "direction", case, width)["urn2_number"]
+    start = told("direction", case, width)["urn2_number"]
     transient = max(2.0 * RELAXATION / width**3, 1e4)
     changes = {
         "table": {"channel1_width": width, "channel2_width": ratio * width},
@@ -213,7 +211,7 @@ def runs(work: study.Study) -> None:
     rows: list[Row] = []
     for case, (ratio, thresholds) in CASES.items():
         for width in work.pick(QUICK, FULL):
-            paper = abs(told(work, "window", case, width)["net_current"])
+            paper = abs(told("window", case, width)["net_current"])
             row = {"circuit": case, "ratio": ratio, "T1": thresholds[0], "T2": thresholds[1],
                    "w": width, "N": round(LOAD / width), **measured(work, case, width)}  # fmt: skip
             row |= over("paper", row, paper)
@@ -247,7 +245,7 @@ def near(work: study.Study) -> None:
     """Make near.csv: E and F from the polarised state of `window`, and from equal halves."""
     rows: list[Row] = []
     for plan in work.pick(*NEARER):
-        paper = told(work, "window", plan.case, plan.width)
+        paper = told("window", plan.case, plan.width)
         for start, number in (("window", paper["urn2_number"]), ("even", 0.5 * plan.number)):
             seen = ran(work, plan, f"{plan.case}_{plan.width:g}_{start}", number)
             seen |= over("paper", seen, abs(paper["net_current"]))
@@ -260,8 +258,8 @@ def narrower(work: study.Study) -> None:
     rows: list[Row] = []
     plans = work.pick(*NARROWER)
     with ThreadPoolExecutor(work.ranks) as pool:
-        states = pool.map(lambda one: told(work, "direction", one.case, one.width, one.age), plans)
-        papers = pool.map(lambda one: told(work, "window", one.case, one.width), plans)
+        states = pool.map(lambda one: told("direction", one.case, one.width, one.age), plans)
+        papers = pool.map(lambda one: told("window", one.case, one.width), plans)
     for plan, state, known in zip(plans, states, papers, strict=True):
         paper = abs(known["net_current"])
         seen = ran(work, plan, f"{plan.case}_{plan.width:g}", state["urn2_number"])
@@ -301,9 +299,9 @@ def theories(work: study.Study) -> None:
              if place[1] != LIMIT or model != "one_particle"]  # fmt: skip
     asked += [(case, WALKED, "one_particle") for case in "AD"]
     with ThreadPoolExecutor(work.ranks) as pool:
-        states = list(pool.map(lambda one: told(work, one[2], *one[:2]), asked))
+        states = list(pool.map(lambda one: told(one[2], *one[:2]), asked))
         places = list(dict.fromkeys(one[:2] for one in asked))
-        papers = pool.map(lambda one: abs(told(work, "window", *one)["net_current"]), places)
+        papers = pool.map(lambda one: abs(told("window", *one)["net_current"]), places)
     paper_of = dict(zip(places, papers, strict=True))
     rows: list[Row] = []
     for (case, width, model), state in zip(asked, states, strict=True):
@@ -376,8 +374,8 @@ def limits(work: study.Study) -> None:
     """Make limits.csv, from comparison.csv."""
     rows, found = read(table_of(work, "comparison")), []
     for case, (ratio, _) in CASES.items():
-        state = told(work, "direction", case, LIMIT)
-        paper = abs(told(work, "window", case, LIMIT)["net_current"])
+        state = told("direction", case, LIMIT)
+        paper = abs(told("window", case, LIMIT)["net_current"])
         ends = abs(state["net_current"] - state["circulating_current"]) / paper
         some = [row for row in rows if row["circuit"] == case]
         found.append({"circuit": case, "closed_form": visits.deep_limit(ratio), "two_ports": ends,

@@ -26,15 +26,15 @@ import numpy as np
 from postproc import cli
 from postproc.reading.results import Results
 from postproc.theory.circuit import Circuit
-from postproc.theory.one_particle import stationary_states
 from studies.common import study
+from studies.one_particle.walkers import stationary_states
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from numpy.typing import NDArray
 
-    from postproc.theory.one_particle import Effort
+    from studies.one_particle.walkers import Effort
 
 KEPT = json.loads(Path(__file__).with_name("comp01_polarised.json").read_text(encoding="utf-8"))
 HOLLOW = math.exp(-1.0)  # density of chi next to 0 over that at its mode, of polarised states

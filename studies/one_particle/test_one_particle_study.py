@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import subprocess
 from dataclasses import replace
 from typing import TYPE_CHECKING
@@ -12,11 +11,15 @@ import pytest
 import xarray as xr
 
 from postproc.cli import InputError
-from postproc.tests.commands import call
 from postproc.tests.runs import BARE, results_of
-from postproc.theory import one_particle, programs
+from postproc.theory import programs
 from postproc.theory.circuit import Circuit, gate_load
-from postproc.theory.one_particle import (
+from postproc.theory.renewal import RENEWAL
+from postproc.theory.states import stable_state
+from studies.common.study import ROOT
+from studies.one_particle import study as comp01
+from studies.one_particle.study import HOLLOW, hollow, root_mean_square
+from studies.one_particle.walkers import (
     MOST_VISITS,
     Effort,
     effort_for,
@@ -25,11 +28,6 @@ from postproc.theory.one_particle import (
     transition_width,
     walk,
 )
-from postproc.theory.renewal import RENEWAL
-from postproc.theory.states import stable_state
-from studies.common.study import ROOT
-from studies.one_particle import study as comp01
-from studies.one_particle.study import HOLLOW, hollow, root_mean_square
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -225,25 +223,6 @@ def test_effort_is_bounded(number: int, width: float) -> None:
     assert effort.batches * effort.copies * number * time / mean_visit < 1.01 * MOST_VISITS
     assert effort.copies == 2
     assert effort.transient <= effort.duration <= 20.0 * effort.transient
-
-
-def test_command_line_prints_errors_where_walkers_draw(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """JSON as of every theory, with standard errors; nothing that walkers do not tell."""
-    short = replace(QUICK, copies=4, transient=300.0, duration=300.0)
-    monkeypatch.setattr(one_particle, "effort_for", lambda *_: short)
-    assert call("theory", ["--number", "1000", "--threshold", "7", "--model", "one_particle"]) == 0
-    told = json.loads(capsys.readouterr().out)
-    assert list(told) == ["homogeneous", "roots", "transition_width", "urn_area"]
-    assert told["homogeneous"] == "unstable"
-    (root,) = told["roots"]
-    errors = ["mass_spread_error", "net_current_error"]
-    assert list(root) == ["urn2_number", "kind", "mass_spread", "net_current", *errors]
-    assert root["mass_spread"] == pytest.approx(0.929, abs=0.01)
-    assert root["net_current"] == pytest.approx(1.02, abs=0.1)
-    assert 0.0 < root["mass_spread_error"] < 0.01
-    assert 0.0 < root["net_current_error"] < 0.1
 
 
 def test_numbers_of_any_kind_are_understood() -> None:

@@ -1,6 +1,6 @@
 """One-particle theory: exact visits of a particle, and gates filled by independent others.
 
-The program `one_particle` (app/one_particle) moves walkers by exact visits in several copies of the
+The program `one_particle` moves walkers by exact visits in several copies of the
 circuit; a walker enters the gate of a random copy. So every gate is a renewal gate at the walkers'
 own rate, with their own stays, and no number is taken from a run. One copy would be the circuit
 itself. With two, the fewest, particles that a gate has reversed together do not meet again
@@ -45,6 +45,13 @@ BIAS = 0.02  # of the homogeneous start: if it decays the state is stable
 RESOLUTION, STRIDE = 0.03, 1.25  # of a transition; relative steps until it is bracketed
 POLARISED = 0.15  # chi above which equal urns are called so
 APART = 4.0  # standard errors between different states
+
+
+@dataclass(frozen=True)
+class Drawn(State):
+    """A state found by walkers, whose chi has a standard error, too."""
+
+    mass_spread_error: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -163,7 +170,7 @@ def transition_width(circuit: Circuit, effort: Effort | None = None) -> float:
     return math.sqrt(below * above)
 
 
-def stationary_states(circuit: Circuit, effort: Effort | None = None) -> list[State]:
+def stationary_states(circuit: Circuit, effort: Effort | None = None) -> list[Drawn]:
     """Return the stable states that walkers reach, by increasing N2.
 
     For equal urns with equal gates that with N2 > N/2, if there is one: its mirror image is a state
@@ -177,7 +184,7 @@ def stationary_states(circuit: Circuit, effort: Effort | None = None) -> list[St
         state = _state(walked.fuller_number, walked.polarised_current, number)
         return [state] if state.mass_spread > POLARISED else []
     one, two = (float(side.urn_area) for side in circuit.sides)
-    found: list[State] = []
+    found: list[Drawn] = []
     for share in (EMPTIER, two / (one + two), 1.0 - EMPTIER):
         walked = walk(circuit, share, given)
         state = _state(walked.half2_number, walked.net_current, number)
@@ -201,10 +208,10 @@ def _polarised_share(circuit: Circuit) -> float:
     return guess.urn2_number / float(circuit.number) if guess else 1.0 - EMPTIER
 
 
-def _state(second: Floats, current: Floats, number: float) -> State:
+def _state(second: Floats, current: Floats, number: float) -> Drawn:
     """Return a state from N2 and net current of each batch."""
     spread, batches = 2.0 * second / number - 1.0, np.sqrt(second.size)
-    return State(
+    return Drawn(
         float(second.mean()),
         "stable",
         float(abs(spread.mean())),
@@ -214,7 +221,7 @@ def _state(second: Floats, current: Floats, number: float) -> State:
     )
 
 
-def _same(one: State, other: State, number: float) -> bool:
+def _same(one: Drawn, other: Drawn, number: float) -> bool:
     """Whether two states agree within their errors."""
     errors = np.hypot(one.mass_spread_error, other.mass_spread_error)
     apart = 2.0 * abs(one.urn2_number - other.urn2_number) / number
