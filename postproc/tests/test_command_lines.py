@@ -54,7 +54,8 @@ def test_no_whole_file(
     files: Path, reader: list[str], name: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     command, *words = reader
-    assert call(command, [*words, str(files / name)]) == 2
+    more = ["--verify"] if name == "flipped" else []
+    assert call(command, [*words, *more, str(files / name)]) == 2
     assert capsys.readouterr().err.count("\n") == 1
 
 
