@@ -26,7 +26,7 @@ module battery_polygon
   public :: find_next_wall_in_polygon, reflect_in_polygon, reflect_overshoot_in_polygon, &
     locate_in_polygon, find_first_impact_in_polygon
   public :: find_next_side_robustly, reflect_from_side, boundary_state_type, state_on_side, &
-    has_returned, continue_flight
+    has_returned
 
   !> Bound on the rounding error of a position on a side, in units of the table.
   real(wp), parameter :: rounding = 64.0_wp*epsilon(1.0_wp)
@@ -281,9 +281,7 @@ contains
   end function nearest_side
 
   !> Finds the side that a particle hits next, and the time `wait` until then. A particle on the
-  !> side `from` (0: on none) does not hit that side. Where a path runs along a side, rounding alone
-  !> says where it crosses it: then only that it does so between its corners is certain. A time
-  !> beyond them would put the side behind the particle, which then would hit nothing.
+  !> side `from` (0: on none) does not hit that side.
   pure subroutine find_next_side(polygon, from, x, y, ux, uy, side, wait)
     type(polygon_type), intent(in) :: polygon
     integer, intent(in) :: from
@@ -292,22 +290,64 @@ contains
     !> 0 if no side is found, which only rounding can cause.
     integer, intent(out) :: side
     real(wp), intent(out) :: wait
-    real(wp) :: before, after, time, least
+    real(wp) :: before, after, time
     integer :: k
 
+    if (.not. polygon%convex) then
+      call find_nearest_side_ahead(polygon, from, x, y, ux, uy, side, wait)
+      return
+    end if
     side = 0
     wait = huge(1.0_wp)
-    least = huge(1.0_wp)
     after = ux*(polygon%y(1) - y) - uy*(polygon%x(1) - x)
     do k = 1, polygon%sides
       before = after
       after = ux*(polygon%y(k + 1) - y) - uy*(polygon%x(k + 1) - x)
       if (before >= 0.0_wp .or. after < 0.0_wp .or. k == from) cycle
-      least = min(least, after - before)
       time = polygon%length_of(k)*((polygon%x(k) - x)*polygon%normal_x(k) &
         + (polygon%y(k) - y)*polygon%normal_y(k))/(after - before)
       if (time >= wait) cycle
-      if (time < -polygon%tolerance .and. .not. polygon%convex) then
+      side = k
+      wait = time
+    end do
+    wait = max(wait, 0.0_wp)
+  end subroutine find_next_side
+
+  !> As `find_next_side`, in a polygon that is not convex. Where a path runs along a side, rounding
+  !> alone says where it crosses it: then only that it does so between its corners is certain. A
+  !> time beyond them would put the side behind the particle, which then would hit nothing. A path
+  !> that enters before it leaves does not start inside: rounding in a corner has put the particle
+  !> outside, and no side is found, or it would cross what lies between two parts of the urn.
+  pure subroutine find_nearest_side_ahead(polygon, from, x, y, ux, uy, side, wait)
+    type(polygon_type), intent(in) :: polygon
+    integer, intent(in) :: from
+    real(wp), intent(in) :: x, y, ux, uy
+    integer, intent(out) :: side
+    real(wp), intent(out) :: wait
+    real(wp) :: before, after, time, enters, first, second
+    integer :: k
+
+    side = 0
+    wait = huge(1.0_wp)
+    enters = huge(1.0_wp)
+    after = ux*(polygon%y(1) - y) - uy*(polygon%x(1) - x)
+    do k = 1, polygon%sides
+      before = after
+      after = ux*(polygon%y(k + 1) - y) - uy*(polygon%x(k + 1) - x)
+      if ((before < 0.0_wp) .eqv. (after < 0.0_wp)) cycle
+      time = polygon%length_of(k)*((polygon%x(k) - x)*polygon%normal_x(k) &
+        + (polygon%y(k) - y)*polygon%normal_y(k))/(after - before)
+      if (abs(after - before) < polygon%tolerance) then
+        first = ux*(polygon%x(k) - x) + uy*(polygon%y(k) - y)
+        second = ux*(polygon%x(k + 1) - x) + uy*(polygon%y(k + 1) - y)
+        time = min(max(time, min(first, second)), max(first, second))
+      end if
+      if (before >= 0.0_wp) then
+        if (time > polygon%tolerance) enters = min(enters, time)
+        cycle
+      end if
+      if (time >= wait .or. k == from) cycle
+      if (time < -polygon%tolerance) then
         ! Skip a side behind the particle, unless only rounding has put it there.
         if (distance_to_side(x, y, [polygon%x(k), polygon%y(k)], [polygon%x(k + 1), &
           polygon%y(k + 1)]) > polygon%tolerance) cycle
@@ -316,43 +356,8 @@ contains
       wait = time
     end do
     wait = max(wait, 0.0_wp)
-    if (least < polygon%tolerance) call find_next_side_alongside(polygon, from, x, y, ux, uy, side, &
-      wait)
-  end subroutine find_next_side
-
-  !> As `find_next_side`, for a path along which a side rises by no more than rounding errors.
-  pure subroutine find_next_side_alongside(polygon, from, x, y, ux, uy, side, wait)
-    type(polygon_type), intent(in) :: polygon
-    integer, intent(in) :: from
-    real(wp), intent(in) :: x, y, ux, uy
-    integer, intent(out) :: side
-    real(wp), intent(out) :: wait
-    real(wp) :: before, after, time, passes, passed
-    integer :: k
-
-    side = 0
-    wait = huge(1.0_wp)
-    after = ux*(polygon%y(1) - y) - uy*(polygon%x(1) - x)
-    passes = ux*(polygon%x(1) - x) + uy*(polygon%y(1) - y)
-    do k = 1, polygon%sides
-      before = after
-      passed = passes
-      after = ux*(polygon%y(k + 1) - y) - uy*(polygon%x(k + 1) - x)
-      passes = ux*(polygon%x(k + 1) - x) + uy*(polygon%y(k + 1) - y)
-      if (before >= 0.0_wp .or. after < 0.0_wp .or. k == from) cycle
-      time = polygon%length_of(k)*((polygon%x(k) - x)*polygon%normal_x(k) &
-        + (polygon%y(k) - y)*polygon%normal_y(k))/(after - before)
-      time = min(max(time, min(passed, passes)), max(passed, passes))
-      if (time >= wait) cycle
-      if (time < -polygon%tolerance) then
-        if (distance_to_side(x, y, [polygon%x(k), polygon%y(k)], [polygon%x(k + 1), &
-          polygon%y(k + 1)]) > polygon%tolerance) cycle
-      end if
-      side = k
-      wait = time
-    end do
-    wait = max(wait, 0.0_wp)
-  end subroutine find_next_side_alongside
+    if (enters < wait - polygon%tolerance) side = 0
+  end subroutine find_nearest_side_ahead
 
   !> As `find_next_side`, but also for a particle that moves along a side, or that rounding has put
   !> beyond one: then the path starts slightly farther inside. From the side `from` (0: none), at

@@ -13,8 +13,7 @@ module battery_polygon_passages
   use battery_channel, only: channel1, channel2
   use battery_motion, only: slowest
   use battery_polygon, only: polygon_type, nearest_side, boundary_state_type, state_on_side, &
-    has_returned, find_next_side_robustly, reflect_from_side, longest_period, &
-    continue_flight
+    has_returned, find_next_side_robustly, reflect_from_side, longest_period
   use battery_visits, only: visits_type, group_size, no_channel, truncated, many_hits
   implicit none (type, external)
   private
@@ -38,8 +37,10 @@ contains
   subroutine compute_polygon_passages(polygon, visits)
     type(polygon_type), intent(in) :: polygon
     type(visits_type), intent(inout) :: visits
+    real(wp) :: corner(2, 0:padded(polygon)), side(4, padded(polygon))
     integer :: active, n, j, round
 
+    call list_sides(polygon, padded(polygon), corner, side)
     visits%many_hits_count = 0
     active = visits%count
     n = group_size*((active + group_size - 1)/group_size)
@@ -50,8 +51,8 @@ contains
       n = group_size*((active + group_size - 1)/group_size)
       ! Padding lanes of the last group: visits that have ended.
       visits%c(active + 1:n) = 0.0_wp
-      call step_hits(polygon, n, visits%px, visits%py, visits%zx, visits%zy, visits%steps, &
-        visits%first, visits%c)
+      call step_hits(polygon, size(side, 2), corner, side, n, visits%px, visits%py, visits%zx, &
+        visits%zy, visits%steps, visits%first, visits%c)
       call compact_active(polygon, active, visits)
     end do
     do j = 1, active
@@ -83,25 +84,25 @@ contains
   end subroutine load_visits
 
   !> Moves each particle that has not left through `march_hits` hits.
-  pure subroutine step_hits(polygon, n, px, py, ux, uy, hits, length, flies)
+  pure subroutine step_hits(polygon, sides, corner, side, n, px, py, ux, uy, hits, length, flies)
     type(polygon_type), intent(in) :: polygon
-    integer, intent(in) :: n
+    integer, intent(in) :: sides, n
+    !> As `list_sides` makes them.
+    real(wp), intent(in) :: corner(2, 0:sides), side(4, sides)
     real(wp), intent(inout) :: px(n), py(n), ux(n), uy(n), hits(n), length(n)
     !> 1 until the visit ends, then 0.
     real(wp), intent(inout) :: flies(n)
     real(wp), dimension(lanes) :: normal_x, normal_y, offset, half_opening
-    real(wp) :: corner(2, 0:at_once*((polygon%sides + at_once - 1)/at_once))
-    real(wp) :: side(4, size(corner, 2) - 1), half_openings(2)
+    real(wp) :: half_openings(2)
     integer :: first, last, count, hit
 
-    call list_sides(polygon, size(side, 2), corner, side)
     half_openings = merge(polygon%half_width, -1.0_wp, polygon%side > 0)
     do first = 1, n, lanes
       last = min(first + lanes - 1, n)
       count = last - first + 1
       do hit = 1, march_hits
         if (polygon%convex) then
-          call find_only_side(size(side, 2), corner, side, half_openings(channel1), &
+          call find_only_side(sides, corner, side, half_openings(channel1), &
             half_openings(channel2), count, px(first), py(first), ux(first), uy(first), normal_x, &
             normal_y, offset, half_opening)
         else
@@ -114,6 +115,13 @@ contains
       call normalise_speeds(count, ux(first), uy(first))
     end do
   end subroutine step_hits
+
+  !> Number of sides, padded to whole passes of `find_only_side`.
+  pure integer function padded(polygon)
+    type(polygon_type), intent(in) :: polygon
+
+    padded = at_once*((polygon%sides + at_once - 1)/at_once)
+  end function padded
 
   !> Lists the corners, the last one first; of each side the normal, the distance from the origin
   !> and half its opening. Padded with sides of length 0, which no path hits.
@@ -179,6 +187,8 @@ contains
   end subroutine find_only_side
 
   !> As `find_only_side`, in any polygon: finds the nearest of the sides that a path leaves through.
+  !> If the path enters through another one before, rounding in a corner has put the particle
+  !> outside: no side is found, or it would cross what lies between two parts of the urn.
   pure subroutine find_nearest_side(sides, corner, side, tolerance, n, px, py, ux, uy, normal_x, &
     normal_y, offset, half_opening)
     integer, intent(in) :: sides, n
@@ -186,7 +196,8 @@ contains
     real(wp), intent(in) :: corner(2, 0:sides), side(4, sides), tolerance
     real(wp), intent(in) :: px(n), py(n), ux(n), uy(n)
     real(wp), intent(out) :: normal_x(n), normal_y(n), offset(n), half_opening(n)
-    real(wp) :: before(lanes), ahead(lanes), soonest(lanes)
+    real(wp) :: before(lanes), ahead(lanes), soonest(lanes), &
+      enters(lanes)
     real(wp) :: was, after, x, y, nx, ny, distance, opening, outward, time, met, kept, least, far
     integer :: k, j
 
@@ -194,6 +205,7 @@ contains
       offset, half_opening, before, ahead)
     far = 1.0_wp/slowest
     soonest(:n) = far
+    enters(:n) = far
     least = -tolerance
     do k = 1, sides
       x = corner(1, k)
@@ -206,7 +218,7 @@ contains
         was = before(j)
         after = ux(j)*y - uy(j)*x - ahead(j)
         outward = nx*ux(j) + ny*uy(j)
-        time = (distance - nx*px(j) - ny*py(j))/max(outward, slowest)
+        time = (distance - nx*px(j) - ny*py(j))/sign(max(abs(outward), slowest), outward)
         met = merge(1.0_wp, 0.0_wp, was < 0.0_wp .and. after >= 0.0_wp .and. outward > 0.0_wp &
           .and. time >= least .and. time < soonest(j))
         kept = 1.0_wp - met
@@ -215,8 +227,15 @@ contains
         offset(j) = met*distance + kept*offset(j)
         half_opening(j) = met*opening + kept*half_opening(j)
         soonest(j) = min(met*time + kept*far, soonest(j))
+        met = merge(1.0_wp, 0.0_wp, was >= 0.0_wp .and. after < 0.0_wp .and. time > tolerance)
+        enters(j) = min(met*time + (1.0_wp - met)*far, enters(j))
         before(j) = after
       end do
+    end do
+    do j = 1, n
+      met = merge(1.0_wp, 0.0_wp, enters(j) >= soonest(j) - tolerance)
+      normal_x(j) = met*normal_x(j)
+      normal_y(j) = met*normal_y(j)
     end do
   end subroutine find_nearest_side
 
@@ -421,8 +440,7 @@ contains
   !> Position of a particle at the time `elapsed` after the start of its passage, on the path that
   !> `compute_polygon_passages` takes. Rounding decides on which side a path passes a corner that it
   !> hits exactly: so this computes the same hits, by the same operations, with this particle in all
-  !> lanes. Between two states of that path, the place is computed from the one from which the way
-  !> meets no corner. At the time of a hit the particle has not been reflected.
+  !> lanes. At the time of a hit the particle has not been reflected.
   subroutine follow_polygon_passage(polygon, x, y, ux, uy, elapsed, position, velocity, hits)
     type(polygon_type), intent(in) :: polygon
     !> Start of the passage, and the time since then.
@@ -433,57 +451,89 @@ contains
     integer(int64), intent(out) :: hits
     !> x, y, u_x, u_y, hits, length, and whether it flies, of each lane.
     real(wp) :: lane(group_size, 7), before(group_size, 7)
+    real(wp) :: corner(2, 0:padded(polygon)), side(4, padded(polygon))
     type(boundary_state_type) :: state
     integer(int64) :: ending
-    logical :: meets_corner
-    integer :: round, slot(group_size)
+    integer :: round, hit, slot(group_size)
 
     before(:, 1:4) = spread([x, y, ux, uy], 1, group_size)
     call load_visits(group_size, before(:, 1), before(:, 2), before(:, 3), before(:, 4), lane(:, 1), &
       lane(:, 2), lane(:, 3), lane(:, 4), lane(:, 5), lane(:, 6), lane(:, 7), slot)
+    call list_sides(polygon, size(side, 2), corner, side)
     do round = 1, most_marches
       before = lane
-      call step_hits(polygon, group_size, lane(:, 1), lane(:, 2), lane(:, 3), lane(:, 4), &
-        lane(:, 5), lane(:, 6), lane(:, 7))
+      call step_hits(polygon, size(side, 2), corner, side, group_size, lane(:, 1), lane(:, 2), &
+        lane(:, 3), lane(:, 4), lane(:, 5), lane(:, 6), lane(:, 7))
       if (lane(1, 6) >= elapsed .or. .not. lane(1, 7) > 0.0_wp) exit
     end do
     if (lane(1, 6) >= elapsed) then
-      call fly_between(before(1, :), elapsed, .false., position, velocity, hits, meets_corner)
-      if (meets_corner) call fly_between(lane(1, :), elapsed, .true., position, velocity, hits, &
-        meets_corner)
-      return
+      lane(1, :) = before(1, :)
+      do hit = 1, march_hits
+        call step_one(polygon, lane(1, 1), lane(1, 2), lane(1, 3), lane(1, 4), lane(1, 5), &
+          lane(1, 6), lane(1, 7))
+        if (lane(1, 6) >= elapsed .or. .not. lane(1, 7) > 0.0_wp) exit
+        before(1, :) = lane(1, :)
+      end do
+      lane(1, :) = before(1, :)
+      lane(1, 1:2) = lane(1, 1:2) + lane(1, 3:4)*(elapsed - lane(1, 6))
+    else if (lane(1, 7) > 0.0_wp) then
+      call continue_alone(polygon, elapsed, lane(1, 1), lane(1, 2), lane(1, 3), lane(1, 4), &
+        lane(1, 6), lane(1, 5), state, ending)
     end if
-    if (lane(1, 7) > 0.0_wp) call continue_alone(polygon, elapsed, lane(1, 1), lane(1, 2), &
-      lane(1, 3), lane(1, 4), lane(1, 6), lane(1, 5), state, ending)
     position = lane(1, 1:2)
     velocity = lane(1, 3:4)
     hits = int(lane(1, 5), int64)
-
-  contains
-
-    !> Position at the time `elapsed`, from a state before it or, `back`, after it.
-    pure subroutine fly_between(from, elapsed, back, position, velocity, hits, meets_corner)
-      real(wp), intent(in) :: from(7), elapsed
-      logical, intent(in) :: back
-      real(wp), intent(out) :: position(2), velocity(2)
-      integer(int64), intent(out) :: hits
-      logical, intent(out) :: meets_corner
-      real(wp) :: way, rest
-      integer :: side
-
-      way = merge(-1.0_wp, 1.0_wp, back)
-      side = 0
-      position = from(1:2)
-      velocity = way*from(3:4)
-      rest = way*(elapsed - from(6))
-      meets_corner = .false.
-      call continue_flight(polygon, back, side, position(1), position(2), velocity(1), velocity(2), &
-        rest, hits, meets_corner)
-      velocity = way*velocity
-      hits = int(from(5), int64) + nint(way, int64)*hits
-    end subroutine fly_between
-
   end subroutine follow_polygon_passage
+
+  !> Moves one particle through one hit, by the operations of `step_hits`: it is a copy of them for a
+  !> single lane, since a second call of its parts would make the kernel slower by 1 %.
+  pure subroutine step_one(polygon, x, y, ux, uy, hits, length, flies)
+    type(polygon_type), intent(in) :: polygon
+    real(wp), intent(inout) :: x, y, ux, uy, hits, length, flies
+    real(wp) :: ahead, was, after, outward, time, soonest, enters, wait, kick
+    integer :: k, met, next
+
+    ahead = ux*y - uy*x
+    after = ux*polygon%y(1) - uy*polygon%x(1) - ahead
+    soonest = 1.0_wp/slowest
+    enters = soonest
+    met = 0
+    next = 0
+    do k = 1, polygon%sides
+      was = after
+      after = ux*polygon%y(k + 1) - uy*polygon%x(k + 1) - ahead
+      outward = polygon%normal_x(k)*ux + polygon%normal_y(k)*uy
+      time = (polygon%offset(k) - polygon%normal_x(k)*x - polygon%normal_y(k)*y) &
+        /sign(max(abs(outward), slowest), outward)
+      if (was >= 0.0_wp .and. after < 0.0_wp .and. time > polygon%tolerance) enters = min(enters, &
+        time)
+      if (was >= 0.0_wp .or. after < 0.0_wp) cycle
+      met = met + 1
+      if (.not. polygon%convex) then
+        if (.not. outward > 0.0_wp .or. time < -polygon%tolerance .or. time >= soonest) cycle
+        soonest = time
+      end if
+      next = k
+    end do
+    if (polygon%convex .and. met /= 1) next = 0
+    if (.not. polygon%convex .and. enters < soonest - polygon%tolerance) next = 0
+    if (next == 0) return
+    outward = polygon%normal_x(next)*ux + polygon%normal_y(next)*uy
+    if (.not. outward > 0.0_wp) return
+    wait = max((polygon%offset(next) - polygon%normal_x(next)*x - polygon%normal_y(next)*y) &
+      /max(outward, slowest), 0.0_wp)
+    length = length + wait
+    x = x + ux*wait
+    y = y + uy*wait
+    if (abs(y) < polygon%half_opening(next)) then
+      flies = 0.0_wp
+    else
+      hits = hits + 1.0_wp
+      kick = 2.0_wp*outward
+      ux = ux - kick*polygon%normal_x(next)
+      uy = uy - kick*polygon%normal_y(next)
+    end if
+  end subroutine step_one
 
   !> Stores a visit that has not ended: truncated, or one that never ends.
   pure subroutine store_truncated(visits, j, state, channel)

@@ -10,11 +10,17 @@ module reference_walls
   use battery_table, only: table_type, x_direction
   implicit none (type, external)
   private
-  public :: walls_type, new_walls, is_end, fly
+  public :: walls_type, new_walls, is_end, fly, most_ends
 
   !> A path that comes nearer to an end of a piece than `near` goes both ways, shifted by `aside`; at
   !> the next end by more, so that it goes both ways there too.
   real(wp), parameter :: near = 1.0e-8_wp, aside = 1.0e-13_wp, more = 8.0_wp
+
+  !> A path that runs along walls goes both ways so often that it is given up.
+  integer, parameter :: most_ends = 24
+
+  !> Distance of a corner within which a path goes both ways only once.
+  real(wp), parameter :: step = 1.0e-6_wp
 
   !> Least distance from the start to the first hit.
   real(wp), parameter :: off = 1.0e-7_wp
@@ -104,6 +110,7 @@ contains
     real(wp) :: now(5), rest, wait, until, meets, unforked
     integer :: hit, way, from
 
+    if (size(ends, 2) >= most_ends) return
     now = begin
     rest = time
     from = last
@@ -114,10 +121,11 @@ contains
       meets = first_end(walls, now, unforked, until)
       if (meets <= until + near) then
         meets = min(max(meets, 0.0_wp), rest)
-        now(:2) = now(:2) + now(3:4)*(meets - 1.0e-6_wp)
+        call reflect_twice(walls, now, rest, meets, shift, ends)
+        now(:2) = now(:2) + now(3:4)*(meets - step)
         do way = -1, 1, 2
           call continue_path(walls, [now(:2) + way*shift*[-now(4), now(3)], now(3:)], rest - meets &
-            + 1.0e-6_wp, 1.0e-5_wp, 0, more*shift, ends)
+            + step, 10.0_wp*step, 0, more*shift, ends)
         end do
         return
       end if
@@ -132,6 +140,39 @@ contains
       if (rest <= near) return
     end do
   end subroutine continue_path
+
+  !> Continues a path from a corner at which both pieces have reflected the particle, one after the
+  !> other: rounding may do that in a re-entrant corner too.
+  recursive subroutine reflect_twice(walls, now, rest, meets, shift, ends)
+    type(walls_type), intent(in) :: walls
+    real(wp), intent(in) :: now(5), rest, meets, shift
+    real(wp), allocatable, intent(inout) :: ends(:, :)
+    real(wp) :: there(5), point(2)
+    integer :: first, second
+
+    point = now(:2) + meets*now(3:4)
+    do first = 1, size(walls%piece, 2)
+      do second = 1, size(walls%piece, 2)
+        if (first == second .or. .not. (ends_at(first) .and. ends_at(second))) cycle
+        there = [point, now(3:)]
+        call pass(walls, first, there)
+        call pass(walls, second, there)
+        there(:2) = there(:2) + min(step, rest - meets)*there(3:4)
+        call continue_path(walls, there, rest - meets - min(step, rest - meets), 10.0_wp*step, 0, &
+          more*shift, ends)
+      end do
+    end do
+
+  contains
+
+    pure logical function ends_at(k)
+      integer, intent(in) :: k
+
+      ends_at = hypot(walls%piece(1, k) - point(1), walls%piece(2, k) - point(2)) <= 2.0_wp*near &
+        .or. hypot(walls%piece(3, k) - point(1), walls%piece(4, k) - point(2)) <= 2.0_wp*near
+    end function ends_at
+
+  end subroutine reflect_twice
 
   !> Reflects a particle at a piece, or moves it over the periodic line (`hit` below 0: of that urn).
   subroutine pass(walls, hit, now)

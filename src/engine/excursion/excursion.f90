@@ -11,12 +11,13 @@
 !>
 !> The state of a particle (`flight_type`) is its state on entry into its next channel. Its position
 !> before then is computed backwards from that entry, or forwards from the start of a long visit;
-!> in a polygon by the kernel of the passages, if that way meets a corner.
+!> in a polygon, if that way meets a corner, along the path of the passage.
 !>
 !> This file has the type, one window (`advance_window`), the positions of particles, and the
 !> serialisation. Separate files have flights (`flight.f90`), the two ways to process the events of
 !> a window (`serial_window.f90`, `batch_window.f90`), visits computed before they begin
 !> (`precomputed_visits.f90`), long and truncated visits (`long_visits.f90`, `partial_visits.f90`),
+!> the starts of passages through polygons (`passage_starts.f90`),
 !> and tables with discs in channel 2 (`excursion_with_scatterers.f90`, `scatterer_visits.f90`).
 module battery_excursion
   use battery_kinds, only: wp, int64, pi
