@@ -127,8 +127,9 @@ contains
     end if
   end subroutine check_footer
 
-  !> Checks that `--overwrite` may remove a file: one that is empty, begins as HDF5 does or with zeros,
-  !> as a crash of the machine leaves it, or ends with a footer. A namelist, for instance, stays.
+  !> Checks that `--overwrite` may remove a file: one that is empty, begins as HDF5 does or with
+  !> zeros, as a crash of the machine leaves it, or ends with a footer. A namelist, for instance,
+  !> stays.
   subroutine check_discardable(name, error)
     !> Path of the file, which need not exist.
     character(len=*), intent(in) :: name
@@ -148,11 +149,12 @@ contains
     first = repeat(achar(0), len(first))
     last = ''
     if (bytes > 0) read (unit, iostat=status) first(:min(bytes, len(first, int64)))
-    if (bytes > footer_length) read (unit, pos=bytes - footer_length + 1, iostat=status) last
+    if (status == 0 .and. bytes > footer_length) &
+      read (unit, pos=bytes - footer_length + 1, iostat=status) last
     close (unit)
     if (status == 0 .and. first /= signature .and. verify(first, achar(0)) /= 0 .and. &
-      index(last, first_line) /= 1) call fatal_error(error, name//' is not a results file, and is ' &
-      //'not discarded'//leave_it, exit_bad_input)
+      index(last, first_line) /= 1) call fatal_error(error, name//' is not a results file, ' &
+      //'and is not discarded'//leave_it, exit_bad_input)
   end subroutine check_discardable
 
   !> Length of a file according to HDF5's superblock.
