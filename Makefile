@@ -130,7 +130,7 @@ auto-executables = false
 auto-tests = false
 auto-examples = false
 link = ["gsl", "gslcblas"]
-external-modules = ["hdf5", "mpi_f08"]
+external-modules = ["hdf5", "h5ds", "mpi_f08"]
 [library]
 source-dir = "../../../src"
 [[executable]]
@@ -161,7 +161,8 @@ build/base-%/build/bin/bench: FORCE | libraries $(fpm)
 	cd build/base-$*
 	git checkout --quiet $*
 	$(MAKE) information
-	export FPM_FFLAGS="$(RELEASE_FLAGS)" FPM_LDFLAGS="$(RELEASE_LINK)"
+	# Up to version 0.1.0 a file that make writes is included.
+	export FPM_FFLAGS="$(RELEASE_FLAGS) -I$$PWD/build/generated" FPM_LDFLAGS="$(RELEASE_LINK)"
 	$(call probe,bench,commit-$*)
 
 FORCE:
