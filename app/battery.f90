@@ -60,8 +60,8 @@ program battery
     exit_code = error%code
   end if
   if (.not. all_was_printed()) then
-    call &
-      print_error('battery: part of the output could not be printed; files are as they should be')
+    call print_error('battery: part of the output could not be printed; files are as they ' &
+      //'should be')
     if (exit_code == exit_success) exit_code = exit_failure
   end if
   ! All files are complete here. MPICH 4.0 over UCX sometimes blocks in MPI_Finalize on several

@@ -152,8 +152,7 @@ contains
         /max(complete, 1)
       pairs(2, k, :) = scatter_of(values, results%task_status)
     end do
-    call &
-      print_line( &
+    call print_line( &
       '     N    T       w         w''  replicas       chi  +-error    polarised  +-error' &
       //'    (errors over replicas)')
     do p = 1, size(results%point)

@@ -14,8 +14,8 @@
 !>
 !> The counted particles are queued by the time at which they will reach the middle line. Engines
 !> call the gate at entries and crossings, one by one (`enter_gate`, `must_reverse`,
-!> `uncount_first`), or with all entries of a window (`apply_rule_to_window`); no engine implements
-!> the rule.
+!> `uncount_first`), or with all entries of a window (`apply_rule_to_window`). The rule is here; an
+!> engine that calls one by one only says when no more entries come at that instant.
 module battery_gate
   use battery_kinds, only: wp, int64
   use battery_queue, only: queue_type, empty_queue, push, push_all, pop, pop_due, remove_particle, &

@@ -149,8 +149,9 @@ contains
 
     total = sum(table%urn(:table%urn_count)%area) + sum(0.5_wp*real(table%urn_count, &
       wp)*table%channel%length*table%channel%width)
+    if (.not. has_scatterers(table)) return
     call measure_scatterers(table%channel(channel2), table%scatterers, covered, added)
-    if (has_scatterers(table)) total = total - covered
+    total = total - covered
   end function area
 
   !> Length |dQ| of all walls, the end wall of the single urn included.
@@ -161,8 +162,9 @@ contains
     length = sum(table%urn(:table%urn_count)%perimeter) + real(table%urn_count, &
       wp)*sum(table%channel%length, mask=is_open(table%channel))
     if (table%urn_across(1) == 1) length = length + table%channel(channel1)%width
+    if (.not. has_scatterers(table)) return
     call measure_scatterers(table%channel(channel2), table%scatterers, covered, added)
-    if (has_scatterers(table)) length = length + added
+    length = length + added
   end function perimeter
 
   !> |x| at the far end of the table, on the longer half.

@@ -23,9 +23,9 @@ module battery_long_visits
     is_nearer_start, locate_from_start, rebase_long_visits, serialize_long_visits
 
   !> A visit is long if its passage through the urn is longer than this many times the reach of the
-  !> urn: tracing back through half of a
-  !> shorter one loses no more than some 1e-13. A visit with fewer than `many_hits` = 112 hits is
-  !> never long: it is at most 112 straight pieces, each of at most twice the reach.
+  !> urn: tracing back through half of a shorter one loses no more than some 1e-13. A visit with
+  !> fewer than `many_hits` = 112 hits is never long: it is at most 112 straight pieces, each of at
+  !> most twice the reach.
   real(wp), parameter :: long = 256.0_wp
 
   !> The start of a visit, in one cache line.

@@ -14,12 +14,14 @@ module battery_serial_window
   private
   public :: run_serial_window
 
-  !> Windows with at most this many events are processed one by one.
-  integer, parameter, public :: longest_serial_window = 8
+  !> Windows are processed one by one if their events and the particles that the gates count at
+  !> their start are at most this many together: each counted particle is one more in a queue, which
+  !> `run_batch_window` looks at only once.
+  integer, parameter, public :: longest_serial_window = 20
 
 contains
 
-  !> Processes a window of at most `longest_serial_window` events, one event at a time;
+  !> Processes a window no longer than `longest_serial_window`, one event at a time;
   !> `run_batch_window` has the longer ones. Processes the first `events` events and all middle-line
   !> crossings before `window_end`; adds the visits that they begin.
   subroutine run_serial_window(gate, urn_across, flight, calendar, events, window_start, &
