@@ -457,8 +457,8 @@ contains
     integer :: round, hit, slot(group_size)
 
     before(:, 1:4) = spread([x, y, ux, uy], 1, group_size)
-    call load_visits(group_size, before(:, 1), before(:, 2), before(:, 3), before(:, 4), lane(:, 1), &
-      lane(:, 2), lane(:, 3), lane(:, 4), lane(:, 5), lane(:, 6), lane(:, 7), slot)
+    call load_visits(group_size, before(:, 1), before(:, 2), before(:, 3), before(:, 4), &
+      lane(:, 1), lane(:, 2), lane(:, 3), lane(:, 4), lane(:, 5), lane(:, 6), lane(:, 7), slot)
     call list_sides(polygon, size(side, 2), corner, side)
     do round = 1, most_marches
       before = lane
@@ -485,8 +485,8 @@ contains
     hits = int(lane(1, 5), int64)
   end subroutine follow_polygon_passage
 
-  !> Moves one particle through one hit, by the operations of `step_hits`: it is a copy of them for a
-  !> single lane, since a second call of its parts would make the kernel slower by 1 %.
+  !> Moves one particle through one hit, by the operations of `step_hits`: it is a copy of them for
+  !> a single lane, since a second call of its parts would make the kernel slower by 1 %.
   pure subroutine step_one(polygon, x, y, ux, uy, hits, length, flies)
     type(polygon_type), intent(in) :: polygon
     real(wp), intent(inout) :: x, y, ux, uy, hits, length, flies

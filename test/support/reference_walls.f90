@@ -1,5 +1,5 @@
-!> Brute-force reference for tables with polygons: all walls as one list of straight pieces, and each
-!> particle flown from piece to piece. Gates reverse nobody.
+!> Brute-force reference for tables with polygons: all walls as one list of straight pieces, and
+!> each particle flown from piece to piece. Gates reverse nobody.
 !>
 !> On which side a path passes an end of a piece that it meets exactly is a convention of each
 !> program and its rounding. So there the reference goes both ways, and yields all places that are
@@ -12,8 +12,8 @@ module reference_walls
   private
   public :: walls_type, new_walls, is_end, fly, most_ends
 
-  !> A path that comes nearer to an end of a piece than `near` goes both ways, shifted by `aside`; at
-  !> the next end by more, so that it goes both ways there too.
+  !> A path that comes nearer to an end of a piece than `near` goes both ways, shifted by `aside`;
+  !> at the next end by more, so that it goes both ways there too.
   real(wp), parameter :: near = 1.0e-8_wp, aside = 1.0e-13_wp, more = 8.0_wp
 
   !> A path that runs along walls goes both ways so often that it is given up.
@@ -96,11 +96,12 @@ contains
     real(wp), allocatable, intent(inout) :: ends(:, :)
 
     ! Off the wall that it may start on.
-    call continue_path(walls, [state(:2) + off*state(3:4), state(3:)], time - off, -1.0_wp, 0, aside, ends)
+    call continue_path(walls, [state(:2) + off*state(3:4), state(3:)], time - off, -1.0_wp, 0, &
+      aside, ends)
   end subroutine fly
 
-  !> As `fly`, from a path that went one way at a corner: for the distance `free` it does not go both
-  !> ways again.
+  !> As `fly`, from a path that went one way at a corner: for the distance `free` it does not go
+  !> both ways again.
   recursive subroutine continue_path(walls, begin, time, free, last, shift, ends)
     type(walls_type), intent(in) :: walls
     real(wp), intent(in) :: begin(5), time, free, shift
@@ -174,7 +175,8 @@ contains
 
   end subroutine reflect_twice
 
-  !> Reflects a particle at a piece, or moves it over the periodic line (`hit` below 0: of that urn).
+  !> Reflects a particle at a piece, or moves it over the periodic line (`hit` below 0: of that
+  !> urn).
   subroutine pass(walls, hit, now)
     type(walls_type), intent(in) :: walls
     integer, intent(in) :: hit
@@ -207,7 +209,8 @@ contains
     hit = 0
     do k = 1, size(walls%piece, 2)
       if (k == from) cycle
-      associate (a => walls%piece(:2, k) - now(:2), b => walls%piece(3:, k) - now(:2), u => now(3:4))
+      associate (a => walls%piece(:2, k) - now(:2), b => walls%piece(3:, k) - now(:2), &
+        u => now(3:4))
         first = u(1)*a(2) - u(2)*a(1)
         second = u(1)*b(2) - u(2)*b(1)
         if (first*second > 0.0_wp .or. .not. abs(second - first) > 1.0e-14_wp) cycle

@@ -52,8 +52,8 @@ contains
 
     n = visits%count
     if (present(first)) n = first
-    call store_starts(size(starts%start, 2), starts%start, n, visits%particle, visits%x, visits%y, &
-      visits%u_axial, visits%u_lateral, visits%time)
+    call store_starts(size(starts%start, 2), starts%start, n, visits%particle, visits%x, &
+      visits%y, visits%u_axial, visits%u_lateral, visits%time)
   end subroutine store_passage_starts
 
   !> Stores the start of the passage of one particle.
@@ -85,8 +85,8 @@ contains
 
   !> Corrects position, velocity and `hits` of a particle at the time `now`, if they were computed
   !> on another path than that of its passage.
-  subroutine correct_by_passage(starts, urn, flight, particle, now, from_start, position, velocity, &
-    hits)
+  subroutine correct_by_passage(starts, urn, flight, particle, now, from_start, position, &
+    velocity, hits)
     type(passage_starts_type), intent(in) :: starts
     type(urn_type), intent(in) :: urn
     type(flight_type), intent(in) :: flight
@@ -116,8 +116,8 @@ contains
       before = flight%time - now - flight%length
       ! A part of a visit begins where the one before it ends: in that one this particle still is.
       if (now < start(5) .and. start(5) - now > before + urn%reach) return
-      call follow_passage(urn, start(1), start(2), start(3), start(4), max(now - start(5), 0.0_wp), &
-        here, direction, hits_since)
+      call follow_passage(urn, start(1), start(2), start(3), start(4), max(now - start(5), &
+        0.0_wp), here, direction, hits_since)
       call trace_back_into_channel(urn, before, here, direction, hits_since)
       if (from_start .and. maxval(abs(here - position)) <= same_path*urn%reach &
         .and. maxval(abs(direction - velocity)) <= same_path) return
