@@ -114,8 +114,8 @@ def circuit_of(case: str) -> tuple[float, tuple[int, int]]:
 def told(model: str, case: str, width: float, age: float = math.inf) -> dict[str, float]:
     """Return what a theory says of the stable state with the largest current.
 
-    An empty dictionary if the homogeneous state is the only one. With an age the net current is that
-    of a run of this age, "at_age" its absolute value.
+    An empty dictionary if the homogeneous state is the only one. With an age the net current is
+    that of a run of this age, "at_age" its absolute value.
     """
     ratio, thresholds = circuit_of(case)
     found = theories_told(
