@@ -242,12 +242,10 @@ def test_numris_shows_each_point_and_the_transition_lines(folder: Path) -> None:
 
 
 def test_unless_told_otherwise_memory_is_drawn_beside_the_papers_theory(folder: Path) -> None:
-    """For up to a dozen points; for more the exact gate."""
-    with opened([folder / "point.h5"]) as one, opened([folder / "homogeneous.h5"]) as many:
-        slices, wide = circuits.figure_comp01(one), models.default(many)
+    with opened([folder / "point.h5"]) as files:
+        slices = circuits.figure_comp01(files)
     labels = [f"theory, {MODELS[name].label}" for name in ("window", "direction")]
     assert labels_of(slices)[1:] == labels
-    assert wide == models.named(["window", "renewal"])
 
 
 def test_appendix_shows_measured_currents_beside_theory(folder: Path) -> None:

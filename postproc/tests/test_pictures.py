@@ -55,7 +55,7 @@ def test_pictures_are_written(command: str, run_file: Path, tmp_path: Path) -> N
 
 def test_currents_show_the_series_the_theory_and_eta(run_file: Path) -> None:
     with Results(run_file) as results:
-        made = currents.figure_currents(results, 0, 1, models.QUICK)
+        made = currents.figure_currents(results, 0, 1, models.named(["window", "renewal"]))
         series, circuit = results.series(0, 1), results.circuit(0)
     *panels, balance = made.axes
     assert panels[0].get_title("left") == "$N = 1000$, $T = 7$, $w = 0.3$, $w' = 0.01$"
@@ -199,7 +199,7 @@ def test_a_circuit_is_read_from_values_not_from_the_namelist(tmp_path: Path) -> 
     with edited(path) as file:
         file.attrs["namelist"] = "no namelist"
     with Results(path) as results:
-        assert results.circuit(0) == Circuit(1000, 7, **table)
+        assert results.circuit(0) == Circuit(1000, 7, **table, age=500.0)
 
 
 @pytest.mark.usefixtures("unwritten")
