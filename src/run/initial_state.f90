@@ -8,7 +8,8 @@ module battery_initial_state
   use battery_line_problems, only: line_problems_type, add_line_problem, line_problems_text, &
     displayable_text
   use battery_text, only: to_text, new_line_character
-  use battery_table, only: table_type, chamber_at, outside, try_random_point
+  use battery_table, only: table_type, chamber_at, outside, half_length, &
+    try_random_point
   use battery_engine, only: particles_type
   use battery_signals, only: stop_requested, set_stop_error
   use battery_gsl, only: generator_type, new_generator, free_generator, uniform
@@ -191,6 +192,8 @@ contains
     character(len=:), allocatable, intent(out) :: problem
     !> Numbers up to this have finite squares.
     real(wp), parameter :: far = 0.25_wp*sqrt(huge(1.0_wp))
+    !> Bound on rounding errors of a place, in units of the table.
+    real(wp), parameter :: rounding = 64.0_wp*epsilon(1.0_wp)
     integer :: first(4), last(4), k
     logical :: lost
 
@@ -210,7 +213,9 @@ contains
       problem = 'has the speed '//to_text(hypot(state(3), state(4)))//'; allowed: any above 0'
     else
       lost = maxval(abs(state(:2))) > far
-      if (.not. lost) lost = chamber_at(table, state(1), state(2), 0.0_wp) == outside
+      ! A final state exactly on a wall may be beyond it by rounding.
+      if (.not. lost) lost = chamber_at(table, state(1), state(2), rounding*half_length(table)) &
+        == outside
       if (lost) problem = 'lies outside the table: x = '//to_text(state(1))//', y = ' &
         //to_text(state(2))
     end if
