@@ -17,7 +17,7 @@ MORE = {
     "common": WHOLE,
     "compare": ("postproc.report.data", "postproc.progress", *WHOLE),
     "mixing": ("postproc.figures.passages", *WHOLE),
-    "one_particle": WHOLE,
+    "one_particle": ("postproc.progress", *WHOLE),
     "renewal_gate": WHOLE,
     "speed": WHOLE,
     "circulation": ("postproc.theory",),

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 
 # the commands that read a file of results, with what comes before it
-READERS = [["currents"], ["scene"], ["film"], ["report"], ["compare"], ["mixing"]]
+READERS = [["currents"], ["scene"], ["film"], ["report"]]
 READERS += [["figures", name] for name in ("lifetimes", "numris")]
 
 
@@ -213,8 +213,6 @@ def test_scatterers_are_drawn_and_no_theory_is_asked(
     for command in ("scene", "currents"):
         assert call(command, here) == 0, command
     assert call("figures", ["model", *here]) == 0
-    assert call("compare", [str(path)]) == 2
-    assert "no theory knows scatterers" in capsys.readouterr().err
     with Results(path) as results, pytest.raises(InputError, match="knows scatterers"):
         stationary_states(results.circuit(0))
     with Results(path) as results:

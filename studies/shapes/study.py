@@ -17,6 +17,7 @@ from postproc.figures import style
 from studies.common import event_log, geometry, study
 from studies.common.event_log import CROSSING2, mean_of_groups
 from studies.common.geometry import DISC, IRRATIONAL, REGULAR, SQUARE
+from studies.common.theories import told
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -115,7 +116,7 @@ def measure(work: study.Study, replicas: int, duration: float) -> Found:
     """Make all runs; return rows by kind and shape, and those of well mixed urns."""
     runs = Runs(work, replicas, duration)
     return {
-        "well mixed": {"renewal": well_mixed(work)},
+        "well mixed": {"renewal": well_mixed()},
         **{kind: {shape: runs.states(shape, *start) for shape in LOOKS}
            for kind, start in KINDS.items()},
         "returns": {shape: runs.returns(shape) for shape in LOOKS},
@@ -123,12 +124,13 @@ def measure(work: study.Study, replicas: int, duration: float) -> Found:
     }  # fmt: skip
 
 
-def well_mixed(work: study.Study) -> Rows:
+def well_mixed() -> Rows:
     """Return chi and current of well mixed urns of this area behind renewal gates, over T."""
     rows = []
     for threshold in range(THRESHOLDS[0], THRESHOLDS[-1] + 1):
-        theory = work.theory("renewal", number=NUMBER, threshold=threshold, channel2_width=WIDTH,
-                             occupation=True)  # fmt: skip
+        theory = told(
+            "renewal_occupation", number=NUMBER, threshold=threshold, channel2_width=WIDTH
+        )
         stable = [root for root in theory["roots"] if root["kind"] == "stable"]
         state = stable[-1] if stable else {"mass_spread": 0.0, "net_current": 0.0}
         rows.append({
