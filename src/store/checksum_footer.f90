@@ -12,6 +12,7 @@ module battery_checksum_footer
   use battery_kinds, only: int8, int64
   use battery_error, only: error_type, fatal_error, exit_bad_input, exit_failure
   use battery_digest, only: digest_type, begin_digest, add_to_digest, end_digest, digest_length
+  use battery_foreign_bytes, only: is_results_file
   use battery_files, only: is_readable, is_locked, create_new_file
   use battery_paths, only: is_folder
   implicit none (type, external)
@@ -135,9 +136,7 @@ contains
     character(len=*), intent(in) :: name
     !> It is something else; code `exit_bad_input`.
     type(error_type), allocatable, intent(out) :: error
-    character(len=*), parameter :: signature = achar(137)//'HDF'//achar(13)//achar(10)//achar(26) &
-      //achar(10)
-    character(len=len(signature)) :: first
+    character(len=8) :: first
     character(len=footer_length) :: last
     integer(int64) :: bytes
     integer :: unit, status
@@ -152,7 +151,7 @@ contains
     if (status == 0 .and. bytes > footer_length) &
       read (unit, pos=bytes - footer_length + 1, iostat=status) last
     close (unit)
-    if (status == 0 .and. first /= signature .and. verify(first, achar(0)) /= 0 .and. &
+    if (status == 0 .and. (.not. is_results_file(first)) .and. verify(first, achar(0)) /= 0 .and. &
       index(last, first_line) /= 1) call fatal_error(error, name//' is not a results file, ' &
       //'and is not discarded'//leave_it, exit_bad_input)
   end subroutine check_discardable
