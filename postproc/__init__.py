@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from postproc.reading.grid import open_results
     from postproc.running import RunError, run, write_namelist
 
-__version__ = "0.3.0"
+__version__ = "0.4.0"
 __all__ = ["RunError", "__version__", "open_results", "run", "write_namelist"]
 
 # Imported at their first use, so that commands that need no xarray start without it.

@@ -41,7 +41,7 @@ COMPLETE, NOT_ASKED = 0, 3  # values of `task_status`
 TWO_STATES = 2  # value of `point_status`
 POLARISED = 0.15  # chi above which a state is called polarised
 FEW = 4  # replicas that may agree by chance
-READABLE = ("0.1.", "0.2.", "0.3.")  # prefixes of the versions whose files are read
+READABLE = ("0.1.", "0.2.", "0.3.", "0.4.")  # prefixes of the versions whose files are read
 
 
 @dataclass(frozen=True)

@@ -50,8 +50,10 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
 )
 @pytest.mark.parametrize("reader", READERS)
 def test_no_whole_file(
-    files: Path, reader: list[str], name: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+    files: Path, reader: list[str], name: str, tmp_path: Path,
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch,
+) -> None:  # fmt: skip
+    monkeypatch.chdir(tmp_path)
     command, *words = reader
     more = ["--verify"] if name == "flipped" else []
     assert call(command, [*words, *more, str(files / name)]) == 2

@@ -6,7 +6,7 @@ module battery_build_information
   public :: program_version, git_commit
 
   !> Version of the program, the same as in fpm.toml (test/test_fpm.py).
-  character(len=*), parameter :: program_version = '0.3.0'
+  character(len=*), parameter :: program_version = '0.4.0'
 
   !> Git commit, compiled into `commit.c`.
   character(kind=c_char), bind(c, name='battery_commit'), protected :: commit(48)
