@@ -16,7 +16,6 @@ MORE = {
     "accuracy": ("postproc.advice", *WHOLE),
     "common": WHOLE,
     "compare": ("postproc.report.data", "postproc.progress", *WHOLE),
-    "mixing": ("postproc.figures.passages", *WHOLE),
     "one_particle": WHOLE,
     "renewal_gate": WHOLE,
     "speed": WHOLE,

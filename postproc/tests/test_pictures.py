@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 
 # the commands that read a file of results, with what comes before it
-READERS = [["currents"], ["scene"], ["film"], ["report"], ["compare"], ["mixing"]]
+READERS = [["currents"], ["scene"], ["film"], ["report"]]
 READERS += [["figures", name] for name in ("lifetimes", "numris")]
 
 

@@ -21,9 +21,9 @@ import numpy as np
 
 from postproc.progress import doing
 from postproc.theory import circuit as circuits
-from postproc.theory.programs import answers
 from postproc.theory.renewal import RENEWAL
 from postproc.theory.states import State, stable_state
+from studies.common.programs import answers
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
