@@ -16,7 +16,7 @@ MORE = {
     "accuracy": ("postproc.advice", *WHOLE),
     "common": WHOLE,
     "compare": ("postproc.report.data", "postproc.progress", *WHOLE),
-    "one_particle": WHOLE,
+    "one_particle": ("postproc.progress", *WHOLE),
     "renewal_gate": WHOLE,
     "speed": WHOLE,
     "circulation": ("postproc.theory",),

@@ -63,7 +63,6 @@ def test_no_whole_file(
     [
         (["scene", "run.html"], "scene.png"),
         (["report", "run.html"], "run.html"),
-        (["benchmarks", "run", "--program", sys.executable, "--output", "own"], "own"),
     ],
 )
 @pytest.mark.parametrize("before", ["results", "a namelist"])

@@ -135,7 +135,7 @@ contains
     character(len=*), intent(in) :: name
     !> It is something else; code `exit_bad_input`.
     type(error_type), allocatable, intent(out) :: error
-    character(len=*), parameter :: signature = achar(137)//'HDF'//achar(13)//achar(10)//achar(26) &
+    character(len=*), parameter :: signature = char(137)//'HDF'//achar(13)//achar(10)//achar(26) &
       //achar(10)
     character(len=len(signature)) :: first
     character(len=footer_length) :: last

@@ -193,15 +193,6 @@ def stationary_states(circuit: Circuit, effort: Effort | None = None) -> list[Dr
     return sorted(found, key=lambda state: state.urn2_number)
 
 
-def flows(circuit: Circuit, number2: float, effort: Effort | None = None) -> Floats:
-    """Return the flows of channels 1 and 2 from urn 1 to 2 and back, shape (channel, way).
-
-    Per unit time, in the state that walkers reach from N2 = `number2`; shape (2, 2).
-    """
-    walked = walk(circuit, number2 / float(circuit.number), effort or effort_for(circuit))
-    return np.stack([walked.flow1.mean(axis=0), walked.flow2.mean(axis=0)])
-
-
 def _polarised_share(circuit: Circuit) -> float:
     """Return a polarised share of urn 2, that of the renewal gate if it has such a state."""
     guess = stable_state(replace(circuit, gate=RENEWAL, occupation=True))
