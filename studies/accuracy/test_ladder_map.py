@@ -154,17 +154,6 @@ def test_runs_wait_as_long_as_it_takes(tmp_path: Path, monkeypatch: pytest.Monke
     assert known.chi_error == pytest.approx(found.chi_error * math.sqrt(3.0))
 
 
-def test_what_was_published_follows_its_own_rules() -> None:
-    """At least a dozen polarised points; twice the transient changes nothing; all rungs there."""
-    assert 12 <= KEPT["polarised"] <= len(KEPT["points"]) == SIZE
-    assert KEPT["doubling"]["root_mean_square"] < 1.6
-    names = [row["name"] for row in KEPT["rows"]]
-    assert set(ladder.THEORIES) <= set(names)
-    assert {"excursion", "collision", "synchronous", "reservoir", "timestep 0.01"} < set(names)
-    exact = [row for row in KEPT["rows"] if row["kind"] == "exact"]
-    assert not any(row["chi"]["bias"] > 0.02 for row in exact)
-
-
 def test_page_and_chart_show_every_rung(tmp_path: Path) -> None:
     ladder_map.tables(Study(tmp_path), KEPT)
     with (tmp_path / "map_rungs.csv").open() as file:

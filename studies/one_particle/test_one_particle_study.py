@@ -23,9 +23,7 @@ from studies.one_particle.walkers import (
     MOST_VISITS,
     Effort,
     effort_for,
-    homogeneous_kind,
     stationary_states,
-    transition_width,
     walk,
 )
 
@@ -184,22 +182,6 @@ def test_images_of_unequal_circuits() -> None:
         assert one.urn2_number == pytest.approx(600.0 - other.urn2_number, abs=300.0 * off)
         off = 8.0 * np.hypot(one.net_current_error, other.net_current_error)
         assert one.net_current == pytest.approx(-other.net_current, abs=off)
-
-
-def test_kinds_on_either_side_of_the_transitions() -> None:
-    """Too many may pass, so nothing polarises; in between equal shares do not last."""
-    short = replace(QUICK, copies=4, batches=2, transient=700.0, duration=300.0)
-    for threshold, kind in ((18, "stable"), (7, "unstable")):
-        circuit = replace(PAPER, threshold=threshold)
-        assert homogeneous_kind(circuit, short) == kind
-        assert len(stationary_states(circuit, short)) == (kind == "unstable")
-
-
-def test_transition_lies_below_the_renewal_gates() -> None:
-    """Runs at T = 7 polarise at w' = 0.055 and do not at 0.066; the renewal gate says 0.084."""
-    short = Effort(copies=8, batches=3, transient=800.0, duration=400.0)
-    assert 0.055 < transition_width(PAPER, short) < 0.066
-    assert np.isnan(transition_width(replace(PAPER, threshold=40), short))
 
 
 def test_batches_are_drawn_by_their_seeds() -> None:
