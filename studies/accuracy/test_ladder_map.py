@@ -128,11 +128,13 @@ def test_theories_are_asked_at_every_point() -> None:
     asked = []
 
     def states(circuit: Circuit) -> list[State]:
-        asked.append((circuit.channel2_width, circuit.threshold))
+        asked.append((circuit.channel2_width, circuit.threshold, circuit.age))
         return [State(750.0, "stable", 0.5, -2.0)] if circuit.threshold < 15 else []
 
-    found = ladder_map.ask(replace(MODELS["window"], theory=Theory(states)))
-    assert asked[1:] == [(width, threshold) for width, threshold, _ in ladder_map.points()]
+    ages = np.arange(1.0, SIZE + 1.0)
+    found = ladder_map.ask(replace(MODELS["window"], theory=Theory(states)), ages)
+    places = [place[:2] for place in ladder_map.points()]
+    assert asked[1:] == [(*place, age) for place, age in zip(places, ages, strict=True)]
     assert found.current[0] == 4.0
     assert np.isnan(found.current[found.chi == 0.0]).all()
     assert (found.seconds >= 0.0).all()
