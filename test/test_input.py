@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING
 import h5py
 import numpy as np
 import pytest
-from attack.fuzz_input import attack
 from support.program import run
 
 if TYPE_CHECKING:
@@ -155,10 +154,3 @@ def test_many_snapshots_are_kept_in_seconds(tmp_path: Path) -> None:
     step = np.diff(x, axis=0)
     assert np.all(np.abs(step[np.abs(step) < 1]) <= 0.001 * (1 + 1e-9))
     assert np.mean(np.abs(step - 0.001 * ux[:-1]) < 1e-9) > 0.9
-
-
-def test_mutants_are_read_or_refused(tmp_path: Path) -> None:
-    """The short version of test/attack/fuzz_input.py, which tries ten thousand."""
-    codes, faults = attack(50, 1, 2, tmp_path)
-    assert not faults
-    assert min(codes[0], codes[2]) >= 5

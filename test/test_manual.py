@@ -41,8 +41,9 @@ GOOD = [
 BAD = [
     ("```fortran\n&run\n  colisions = 1000\n/\n```", "colisions"),
     ("```fortran\n&gate\n  threshold = -1\n/\n```", "threshold"),
-    ("```\nmake coffee\n```", "make has no coffee"),
-    ("```sh\nbuild/bin/no_such FILE.nml\n```", "there is no build/bin/no_such"),
+    *([("```\nmake coffee\n```", "make has no coffee"),
+       ("```sh\nbuild/bin/no_such FILE.nml\n```", "there is no build/bin/no_such"),
+       ] if (ROOT / "studies").is_dir() else []),  # else all targets may be theirs
     ("```sh\npython -m postproc.theory --numbr 10\n```", "postproc.theory has no --numbr"),
     ("```sh\npython -m postproc.alchemy\n```", "postproc.alchemy cannot be called"),
     ("```sh\npython3 test/no_such.py\n```", "there is no test/no_such.py"),
@@ -92,7 +93,8 @@ def test_pages_can_do_without_studies(tmp_path: Path) -> None:
     changed, problems = pages.linked(tmp_path, tmp_path, "docs/validation.md", text)
     assert (changed, problems) == (f"a, c, `{gone}/no/x.csv`", [])
     assert pages.contents(tmp_path, {}, {}) == "\n"
-    _, problems = pages.linked(ROOT, tmp_path, "docs/validation.md", text)
+    (tmp_path / gone).mkdir()
+    _, problems = pages.linked(tmp_path, tmp_path, "docs/validation.md", text)
     assert len(problems) == 3
 
 

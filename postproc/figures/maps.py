@@ -60,7 +60,10 @@ def by_start(points: Points) -> list[tuple[str, Points]]:
 
 
 def common_circuit(files: Sequence[Results], points: Points) -> Circuit:
-    """Return the circuit of the first point; raise `InputError` if more than T and w' varies."""
+    """Return the circuit of the first point; raise `InputError` if more than T and w' varies.
+
+    Runs of as many collisions have different ages.
+    """
     places = zip(points.file, points.point, strict=True)
     circuits = [files[file].circuit(int(point)) for file, point in places]
     if len({replace(one, threshold=0, channel2_width=0.0, age=0.0) for one in circuits}) > 1:

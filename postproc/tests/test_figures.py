@@ -33,13 +33,14 @@ QUICK = models.named(["window", "renewal"])
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     made = tmp_path_factory.mktemp("runs")
     results_of(made / "time.h5", scan={"threshold": [2, 7, 18]}, particles={"urn1_number": 1000})
-    results_of(
-        made / "slices.h5", scan={"channel2_width": [0.0102, 0.0306], "threshold": [4, 8, 12, 18]}
-    )
+    # as the maps of the paper: as many collisions at each point, so different ages
+    run = {"duration": None, "collisions": 800_000}
+    slices = {"channel2_width": [0.0102, 0.0306], "threshold": [4, 8, 12, 18]}
+    results_of(made / "slices.h5", scan=slices, run=run)
     grid = {"channel2_width": [0.01, 0.05, 0.09], "threshold": [2, 7, 12, 18], "replicas": 1}
     for name, first in (("homogeneous", 500), ("polarised", 1000)):
         path = made / f"{name}.h5"
-        results_of(path, scan=grid, particles={"urn1_number": first}, output=BARE)
+        results_of(path, scan=grid, run=run, particles={"urn1_number": first}, output=BARE)
     leave_out(made / "polarised.h5", (2, 0), (11, 0))
     results_of(made / "point.h5", scan={"threshold": 2, "replicas": 1})
     urns = {"number": [500, 1000], "channel1_width": [0.1, 0.3], "threshold": [3, 9, 15]}

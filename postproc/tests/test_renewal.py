@@ -10,7 +10,7 @@ import pytest
 
 from postproc.theory.circuit import Circuit, eta, homogeneous_kind
 from postproc.theory.renewal import RENEWAL, exponential_share, fluid_share, share_of_one
-from postproc.theory.states import stable_spread, stationary_states
+from postproc.theory.states import stable_state, stationary_states
 
 ACCURACY = 2e-5
 
@@ -132,8 +132,8 @@ def test_slope_is_the_derivative() -> None:
 
 def test_it_moves_the_diagram() -> None:
     near = Circuit(1000, 15, gate=RENEWAL)
-    assert stable_spread(near) == pytest.approx(0.623, abs=0.005)
-    assert stable_spread(Circuit(1000, 15)) == pytest.approx(0.862, abs=0.001)
+    assert stable_state(near).mass_spread == pytest.approx(0.623, abs=0.005)
+    assert stable_state(Circuit(1000, 15)).mass_spread == pytest.approx(0.862, abs=0.001)
     four = Circuit(1000, 4, gate=RENEWAL)
     assert homogeneous_kind(four) == "unstable"
     assert homogeneous_kind(Circuit(1000, 4)) == "stable"

@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy import interpolate
 
-from postproc.theory.circuit import flow1, flow2, half2_number, log_outflow, net_current2
-from postproc.theory.states import WELL_MIXED, State
+from postproc.theory.circuit import flow1, flow2, log_outflow
+from postproc.theory.states import WELL_MIXED
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -82,18 +82,6 @@ def log_weights(log_up: Floats, log_down: Floats) -> Floats:
 def stationary_distribution(circuit: Circuit) -> Floats:
     """Return the probability of N2 = 0 ... N, shape (N + 1,)."""
     return np.exp(log_weights(*log_rates(circuit)))
-
-
-def mean_state(circuit: Circuit) -> list[State]:
-    """Return the means of chi and of the net current over the distribution, as a state.
-
-    For circuits with equal urns and gates. It exists without a polarised state: chi fluctuates.
-    """
-    weights, number = stationary_distribution(circuit), float(circuit.number)
-    share = np.arange(weights.size, dtype=float)
-    chi = float(weights @ np.abs(2.0 * half2_number(circuit, share) - number)) / number
-    current = float(weights @ np.abs(net_current2(circuit, share)))
-    return [State(0.5 * number * (1.0 + chi), "stable", chi, current)]
 
 
 def time_up(log_up: Floats, log_down: Floats, start: int, stop: int) -> float:

@@ -277,15 +277,6 @@ def log_outflow(circuit: Circuit, number: ArrayLike) -> Floats:
         return np.log(inside) + np.logaddexp(np.log(circuit.channel1_width) + log_share, through2)
 
 
-def net_current1(circuit: Circuit, urn2_number: ArrayLike) -> Floats:
-    """Return the net current of channel 1 from urn 1 to urn 2 (per unit time), from eq. (eqapp5).
-
-    In a stationary state `net_current2`, from urn 1 to urn 2 too, is the opposite.
-    """
-    second = np.asarray(urn2_number, float)
-    return flow1(circuit, np.asarray(circuit.number, float) - second) - flow1(circuit, second)
-
-
 def net_current2(circuit: Circuit, urn2_number: ArrayLike) -> Floats:
     """Return the net current of channel 2 from urn 1 to urn 2, (N1 - N2) w'/(pi A)."""
     second = np.asarray(urn2_number, float)

@@ -90,20 +90,6 @@ def stable_state(circuit: Circuit) -> State | None:
     return stable[-1] if stable else None
 
 
-def stable_spread(circuit: Circuit, branch: str = "polarised") -> float:
-    """Return chi of the stable state on a branch: "polarised" (largest chi) or "homogeneous".
-
-    The homogeneous branch is the nearest stable state; the polarised branch is 0 if only the
-    homogeneous state is stable.
-    """
-    if branch == "homogeneous" and homogeneous_kind(circuit) == "stable":
-        return 0.0
-    stable = [state.mass_spread for state in stationary_states(circuit) if state.kind == "stable"]
-    if not stable:
-        return 0.0
-    return min(stable) if branch == "homogeneous" else max(stable)
-
-
 def places_of(circuit: Circuit, half: float) -> NDArray[np.float64]:
     """Return N1 at which g is evaluated, from just below N/2 down to 0."""
     threshold = float(circuit.threshold)

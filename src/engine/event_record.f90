@@ -7,7 +7,7 @@ module battery_event_record
   use battery_ordering, only: sort_by_time
   implicit none (type, external)
   private
-  public :: event_record_type, reserve_event_record, grow_event_record, record_crossing, &
+  public :: event_record_type, reserve_event_record, record_crossing, &
     record_event, record_reversal, sort_simultaneous_events, crossing_of, channel_of, &
     sort_event_record
   public :: channel1_12, channel1_21, channel2_12, channel2_21

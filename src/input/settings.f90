@@ -13,7 +13,7 @@ module battery_settings
     real_key, text_key, logical_key, longest_text, longest_range
   implicit none (type, external)
   private
-  public :: setting_type, settings_type, read_settings, find_setting
+  public :: settings_type, read_settings, find_setting
   public :: get_value, get_list, get_text
 
   !> The value of one key; the type of the key determines the component that is used.

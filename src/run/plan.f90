@@ -21,7 +21,7 @@ module battery_plan
   implicit none (type, external)
   private
   public :: plan_type, point_type, scanned_type, complete_plan, refuse_value
-  public :: outline_type, corners_of
+  public :: corners_of
   public :: point_of, point_text, table_of, setup_of, is_scanned, values_of, rounded
 
   !> Value of whole numbers and shares that were not given.

@@ -18,7 +18,7 @@ module battery_urn
   use battery_visits, only: visits_type
   implicit none (type, external)
   private
-  public :: urn_type, shape_disc, shape_polygon, derive_shape, are_mirror_images, contains_point, &
+  public :: urn_type, shape_polygon, derive_shape, are_mirror_images, contains_point, &
     try_random_point, compute_passages, locate_in_passage, find_first_impact, locate_after, &
     follow_passage, meets_corner, find_next_wall, reflect_at_wall, reflect_overshoot
 

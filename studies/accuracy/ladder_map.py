@@ -84,11 +84,14 @@ def transients() -> tuple[float, float]:
     return away, near
 
 
-def ask(model: Model) -> Told:
-    """Return a theory's results and its processor time, that of other programs included."""
+def ask(model: Model, ages: Floats) -> Told:
+    """Return a theory's results and its processor time, that of other programs included.
+
+    ages : those of runs at each point, for theories whose current grows with the age.
+    """
     found = []
-    for width, threshold, _ in points():
-        one = replace(BATTERY, channel2_width=width, threshold=threshold)
+    for (width, threshold, _), age in zip(points(), ages.tolist(), strict=True):
+        one = replace(BATTERY, channel2_width=width, threshold=threshold, age=age)
         if not found:
             ladder.ask(model, one)  # reads and prepares what is needed once
         began = _processor()
@@ -287,10 +290,10 @@ def _error(one: dict, quantity: str) -> str:
 def run(study: Study) -> None:
     """Compute every rung at every point, draw `ladder_map`, store the numbers."""
     rungs = {rung.name: rung for rung in (*RUNGS, *LONGER)}
-    truth = run_points(study, rungs["excursion"], study.pick(1.2e5, 1.2e6), 16, doubled=True)
-    one_unit = scatter(truth)
-    rows = [row(model.name, "theory", ask(model), truth)
-            for model in ladder.theories()]  # fmt: skip
+    measured = study.pick(1.2e5, 1.2e6)
+    truth = run_points(study, rungs["excursion"], measured, 16, doubled=True)
+    one_unit, ages = scatter(truth), truth.transient + 0.5 * measured
+    rows = [row(model.name, "theory", ask(model, ages), truth) for model in ladder.theories()]
     once = truth
     for rung in RUNGS:
         if rung.name == SLOWEST and not study.full:

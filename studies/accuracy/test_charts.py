@@ -1,4 +1,4 @@
-"""Legends of the charts; what the product has of the map, and what it advises."""
+"""Legends of the charts; what the product has of the map."""
 
 from __future__ import annotations
 
@@ -6,11 +6,9 @@ import csv
 import json
 from pathlib import Path
 
-import pytest
-
 from postproc.advice.model_errors import TABLE
 from postproc.tests.looks import assert_looks_apart
-from studies.accuracy import advice_check, ladder_map_figure, observables
+from studies.accuracy import ladder_map_figure, observables
 
 HERE = Path(__file__).parent
 KEPT = json.loads((HERE / "accuracy_numbers.json").read_text())
@@ -29,9 +27,3 @@ def test_table_of_the_product_is_a_part_of_the_measured_one() -> None:
     with (HERE / "where_models_fail.csv").open(encoding="utf-8") as file:
         measured = [row for row in csv.DictReader(file) if row["model"] in models]
     assert known == [{name: row[name] for name in known[0]} for row in measured]
-
-
-@pytest.mark.full
-def test_advice_is_right() -> None:
-    """Circuits and tolerances drawn by chance: met within two sigma of what is promised."""
-    assert advice_check.main(["8", "7"]) == 0

@@ -128,11 +128,13 @@ def test_theories_are_asked_at_every_point() -> None:
     asked = []
 
     def states(circuit: Circuit) -> list[State]:
-        asked.append((circuit.channel2_width, circuit.threshold))
+        asked.append((circuit.channel2_width, circuit.threshold, circuit.age))
         return [State(750.0, "stable", 0.5, -2.0)] if circuit.threshold < 15 else []
 
-    found = ladder_map.ask(replace(MODELS["window"], theory=Theory(states)))
-    assert asked[1:] == [(width, threshold) for width, threshold, _ in ladder_map.points()]
+    ages = np.arange(1.0, SIZE + 1.0)
+    found = ladder_map.ask(replace(MODELS["window"], theory=Theory(states)), ages)
+    places = [place[:2] for place in ladder_map.points()]
+    assert asked[1:] == [(*place, age) for place, age in zip(places, ages, strict=True)]
     assert found.current[0] == 4.0
     assert np.isnan(found.current[found.chi == 0.0]).all()
     assert (found.seconds >= 0.0).all()
@@ -152,17 +154,6 @@ def test_runs_wait_as_long_as_it_takes(tmp_path: Path, monkeypatch: pytest.Monke
     assert np.isnan(single.chi_error).all()
     known = ladder_map.with_errors(single, ladder_map.scatter(found))
     assert known.chi_error == pytest.approx(found.chi_error * math.sqrt(3.0))
-
-
-def test_what_was_published_follows_its_own_rules() -> None:
-    """At least a dozen polarised points; twice the transient changes nothing; all rungs there."""
-    assert 12 <= KEPT["polarised"] <= len(KEPT["points"]) == SIZE
-    assert KEPT["doubling"]["root_mean_square"] < 1.6
-    names = [row["name"] for row in KEPT["rows"]]
-    assert set(ladder.THEORIES) <= set(names)
-    assert {"excursion", "collision", "synchronous", "reservoir", "timestep 0.01"} < set(names)
-    exact = [row for row in KEPT["rows"] if row["kind"] == "exact"]
-    assert not any(row["chi"]["bias"] > 0.02 for row in exact)
 
 
 def test_page_and_chart_show_every_rung(tmp_path: Path) -> None:

@@ -12,10 +12,10 @@ import xarray as xr
 
 from postproc.cli import InputError
 from postproc.tests.runs import BARE, results_of
-from postproc.theory import programs
 from postproc.theory.circuit import Circuit, gate_load
 from postproc.theory.renewal import RENEWAL
 from postproc.theory.states import stable_state
+from studies.common import programs
 from studies.common.study import ROOT
 from studies.one_particle import study as comp01
 from studies.one_particle.study import HOLLOW, hollow, root_mean_square
@@ -23,9 +23,7 @@ from studies.one_particle.walkers import (
     MOST_VISITS,
     Effort,
     effort_for,
-    homogeneous_kind,
     stationary_states,
-    transition_width,
     walk,
 )
 
@@ -186,22 +184,6 @@ def test_images_of_unequal_circuits() -> None:
         assert one.net_current == pytest.approx(-other.net_current, abs=off)
 
 
-def test_kinds_on_either_side_of_the_transitions() -> None:
-    """Too many may pass, so nothing polarises; in between equal shares do not last."""
-    short = replace(QUICK, copies=4, batches=2, transient=700.0, duration=300.0)
-    for threshold, kind in ((18, "stable"), (7, "unstable")):
-        circuit = replace(PAPER, threshold=threshold)
-        assert homogeneous_kind(circuit, short) == kind
-        assert len(stationary_states(circuit, short)) == (kind == "unstable")
-
-
-def test_transition_lies_below_the_renewal_gates() -> None:
-    """Runs at T = 7 polarise at w' = 0.055 and do not at 0.066; the renewal gate says 0.084."""
-    short = Effort(copies=8, batches=3, transient=800.0, duration=400.0)
-    assert 0.055 < transition_width(PAPER, short) < 0.066
-    assert np.isnan(transition_width(replace(PAPER, threshold=40), short))
-
-
 def test_batches_are_drawn_by_their_seeds() -> None:
     """The same seeds give the same numbers, others differ by about the error given."""
     short = replace(QUICK, copies=2, transient=200.0, duration=200.0)
@@ -236,6 +218,6 @@ def test_a_program_that_is_not_there_is_told(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """One line says what is missing and what builds it."""
-    monkeypatch.setattr(programs, "FOLDER", tmp_path)
-    with pytest.raises(InputError, match=r"one_particle: no such .*make build.*make install"):
+    monkeypatch.setattr(programs, "ROOT", tmp_path)
+    with pytest.raises(InputError, match=r"one_particle: no such .*make build/bin/one_particle"):
         stationary_states(PAPER, QUICK)

@@ -13,17 +13,15 @@ of independent batches of walkers.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from postproc.progress import doing
-from postproc.theory import circuit as circuits
-from postproc.theory.programs import answers
 from postproc.theory.renewal import RENEWAL
 from postproc.theory.states import State, stable_state
+from studies.common.programs import answers
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -36,13 +34,10 @@ MOST_VISITS = 2e7  # from one start, in all batches: two to four seconds of a pr
 RELAXATIONS = 3.25  # transient in relaxation times of directions, 25 r^4/w^3
 SHORTEST = 500.0  # transient in mean free paths, 2r
 COPIES = 2  # for the search of states
-POOL = 4000  # least number of walkers of a batch for the stability of equal shares
-FEWEST_COPIES, MOST_COPIES = 4, 64  # for this stability
 BATCHES = 8
 LONGEST = 20.0  # measured time in transients, at most
 EMPTIER = 0.05  # share of the emptier urn at a polarised start if no theory has one
-BIAS = 0.02  # of the homogeneous start: if it decays the state is stable
-RESOLUTION, STRIDE = 0.03, 1.25  # of a transition; relative steps until it is bracketed
+LEAST = 0.04  # chi by which states differ at least
 POLARISED = 0.15  # chi above which equal urns are called so
 APART = 4.0  # standard errors between different states
 
@@ -113,14 +108,6 @@ def effort_for(circuit: Circuit, copies: int = COPIES) -> Effort:
     return Effort(copies, BATCHES, transient, min(LONGEST * transient, longest - transient))
 
 
-def effort_for_kind(circuit: Circuit) -> Effort:
-    """Return an effort for the stability of a state, not for its position."""
-    number = float(circuit.number)
-    copies = int(np.clip(np.ceil(POOL / number), FEWEST_COPIES, MOST_COPIES))
-    effort = effort_for(circuit, copies)
-    return replace(effort, batches=BATCHES // 2, duration=effort.transient / 3.0)
-
-
 def walk(circuit: Circuit, share2: float, effort: Effort, *, well_mixed: bool = False) -> Walked:
     """Run walkers, `share2` of them from urn 2; `well_mixed` urns forget the start of each visit.
 
@@ -141,33 +128,6 @@ def walk(circuit: Circuit, share2: float, effort: Effort, *, well_mixed: bool = 
         found = answers("one_particle", [f"{line} {seed} {mixed}" for seed in seeds])
     pairs = (found[:, first : first + 2] for first in (1, 3, 5, 7))
     return Walked(found[:, 0], *pairs, found[:, 9], found[:, 10])
-
-
-def homogeneous_kind(circuit: Circuit, effort: Effort | None = None) -> str:
-    """Return whether equal urns that share equally are "stable" or "unstable"."""
-    walked = walk(circuit, 0.5 + BIAS, effort or effort_for_kind(circuit))
-    spread = abs(2.0 * walked.half2_number / float(circuit.number) - 1.0)
-    return "stable" if np.median(spread) <= 2.0 * BIAS else "unstable"
-
-
-def transition_width(circuit: Circuit, effort: Effort | None = None) -> float:
-    """Return w' above which equal shares are stable at this N, T, w, to `RESOLUTION`; NaN: none.
-
-    It is searched for next to that of the renewal gate, by bisection; `channel2_width` is not used.
-    """
-    width = circuits.transition_width(replace(circuit, gate=RENEWAL, occupation=True))
-    limit = 2.0 * float(circuit.urn_radius)
-    if not 0.0 < width < limit:
-        return math.nan
-    below, above = 0.0, limit
-    while above / max(below, 1e-6 * limit) > 1.0 + RESOLUTION:
-        if homogeneous_kind(replace(circuit, channel2_width=width), effort) == "stable":
-            above, width = width, math.sqrt(below * width) if below else width / STRIDE
-        else:
-            below, width = width, math.sqrt(width * above) if above < limit else width * STRIDE
-        if width >= limit:
-            return math.nan
-    return math.sqrt(below * above)
 
 
 def stationary_states(circuit: Circuit, effort: Effort | None = None) -> list[Drawn]:
@@ -193,15 +153,6 @@ def stationary_states(circuit: Circuit, effort: Effort | None = None) -> list[Dr
     return sorted(found, key=lambda state: state.urn2_number)
 
 
-def flows(circuit: Circuit, number2: float, effort: Effort | None = None) -> Floats:
-    """Return the flows of channels 1 and 2 from urn 1 to 2 and back, shape (channel, way).
-
-    Per unit time, in the state that walkers reach from N2 = `number2`; shape (2, 2).
-    """
-    walked = walk(circuit, number2 / float(circuit.number), effort or effort_for(circuit))
-    return np.stack([walked.flow1.mean(axis=0), walked.flow2.mean(axis=0)])
-
-
 def _polarised_share(circuit: Circuit) -> float:
     """Return a polarised share of urn 2, that of the renewal gate if it has such a state."""
     guess = stable_state(replace(circuit, gate=RENEWAL, occupation=True))
@@ -225,4 +176,4 @@ def _same(one: Drawn, other: Drawn, number: float) -> bool:
     """Whether two states agree within their errors."""
     errors = np.hypot(one.mass_spread_error, other.mass_spread_error)
     apart = 2.0 * abs(one.urn2_number - other.urn2_number) / number
-    return bool(apart <= max(2.0 * BIAS, APART * errors))
+    return bool(apart <= max(LEAST, APART * errors))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import stat
-import subprocess
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +11,6 @@ import pytest
 from rich.console import Console
 
 from postproc import cli
-from studies.common.study import ROOT
 from studies.speed import benchmarks, ratios, study
 from studies.speed.bounds import FORMAT, Figure, Rows, figures
 from studies.speed.changes import change
@@ -109,43 +107,6 @@ def test_compare_prints_ratios_and_marks(
     assert "changed beyond the spread" in text
 
 
-def _damaged(**changed: Any) -> str:
-    row = _row("engines") | changed
-    return json.dumps({"format": FORMAT, "rows": [row], "figures": []})
-
-
-@pytest.mark.parametrize(
-    "text",
-    [
-        None,
-        "{",
-        "[]",
-        '{"rows": 3}',
-        '{"rows": []}',
-        json.dumps({"format": FORMAT, "rows": [{}], "figures": []}),
-        json.dumps({"format": FORMAT, "rows": [3], "figures": []}),
-        json.dumps({"format": FORMAT, "rows": [], "figures": [{"name": "a"}]}),
-        json.dumps({"format": FORMAT, "rows": [], "figures": []}),
-        _damaged(visits_per_second=[0.0]),
-        _damaged(collisions_per_second="fast"),
-        _damaged(collisions_per_second=[float("nan")] * 5),
-        _damaged(engine=[]),
-    ],
-)
-def test_a_bad_file_is_one_line_and_exit_2(
-    text: str | None, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    bad, good = tmp_path / "bad.json", _file(tmp_path / "good.json")
-    if text is not None:
-        bad.write_text(text)
-    for pair in ((bad, good), (good, bad)):
-        assert cli.run(study.main, ["compare", *map(str, pair)]) == 2
-        said = capsys.readouterr()
-        assert said.out == ""
-        assert said.err.startswith("error: ")
-        assert said.err.count("\n") == 1
-
-
 def _program(path: Path, text: str) -> Path:
     path.write_text(f"#!/bin/sh\n{text}\n")
     path.chmod(path.stat().st_mode | stat.S_IXUSR)
@@ -183,24 +144,3 @@ def test_ratios_are_of_pairs_in_turn(monkeypatch: pytest.MonkeyPatch) -> None:
     console = Console(width=100, record=True, quiet=False)
     console.print(ratios.table_of([found]))
     assert "T = 18 3.00 2.00 4.00" in " ".join(console.export_text().split())
-
-
-@pytest.mark.full
-def test_the_processor_is_named_by_family_and_model() -> None:
-    made = subprocess.run(["make", "build/bin/bench"], cwd=ROOT, check=False,
-                          capture_output=True, text=True)  # fmt: skip
-    assert made.returncode == 0, made.stdout + made.stderr
-    command = [str(ROOT / "build/bin/bench")]
-    bench = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
-    try:
-        assert bench.stdout is not None
-        said = bench.stdout.readline()
-    finally:
-        bench.kill()
-        bench.communicate()
-    seen = dict.fromkeys(("model name", "cpu family", "model"), "unknown")
-    for line in reversed(Path("/proc/cpuinfo").read_text().splitlines()):
-        name, _, value = line.partition(":")
-        if name.strip() in seen:
-            seen[name.strip()] = value.strip()
-    assert said == "processor: {}, family {} model {}\n".format(*seen.values())

@@ -8,7 +8,7 @@ module scenes
   use battery_engine, only: particles_type
   implicit none (type, external)
   private
-  public :: table_3_4_5, uneven_table, paper_table, polygon_urn, polygon_table, closed_table, draw
+  public :: table_3_4_5, uneven_table, paper_table, polygon_urn, polygon_table, draw
   public :: scatter, pick, mirrored_x, mirrored_y, reversed, of_particles, one_particle
   public :: count_in_first, same_bits, facing, channel_of
 
@@ -80,15 +80,6 @@ contains
     table = new_table(shape_circuit, [polygon_urn(first), polygon_urn(second)], &
       [channel_type(0.7_wp, 1.5_wp), channel_type(0.4_wp, 0.75_wp)])
   end function polygon_table
-
-  !> Uneven table with polygons as urns and channel 2 closed.
-  pure function closed_table(first, second) result(table)
-    integer, intent(in) :: first, second
-    type(table_type) :: table
-
-    table = new_table(shape_circuit, [polygon_urn(first), polygon_urn(second)], &
-      [channel_type(0.7_wp, 1.5_wp), channel_type(0.0_wp, 0.75_wp)])
-  end function closed_table
 
   !> Next number in (0, 1) with 53 bits, from two steps of the multiplicative generator of Park and
   !> Miller with the multiplier 48271. The state begins with any integer from 1 to 2147483646.

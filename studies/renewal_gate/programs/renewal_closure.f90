@@ -1,8 +1,8 @@
 !> Share of the particles that pass a renewal gate, from moment equations (`renewal_equations`).
 !> Reads lines `load threshold order cells time`, and writes lines `load threshold share survivors`:
 !> `load` is the mean number inside without a threshold, `survivors` the probability that the gate
-!> has not reversed until `time`. Lengths are in units of l/2. Called by `postproc.renewal_fit`,
-!> which fits the results.
+!> has not reversed until `time`. Lengths are in units of l/2. Called by `fit.py`, which fits the
+!> results.
 program renewal_closure
   use renewal_equations, only: wp, solve_gate
   use, intrinsic :: iso_fortran_env, only: input_unit, output_unit

@@ -13,7 +13,6 @@ module battery_bench
   use battery_engines, only: new_engine
   use battery_initial_state, only: random_particles
   use battery_clocks, only: cpu_seconds
-  use battery_bench_task_queue, only: bench_task_queue
   use battery_bench_visits, only: entrances_type, draw_entrances, measure_visits
   use battery_bench_rows, only: case_type, rate_type, cost_of_collision, cost_of_visit, &
     cost_of_time, write_title, write_row, begin_json, write_json_row, end_json, processor_name, &
@@ -51,30 +50,14 @@ contains
       call run_single(unit, memory=.false.)
     case ('memory')
       call run_single(unit, memory=.true.)
-    case ('board')
-      call bench_task_queue(unit, task_count())
     case ('', '--json')
       call run_all_tables(unit, json_file_name())
     case default
       write (unit, '(a)') 'usage: bench [--json FILE]', &
         '       bench single ENGINE NUMBER THRESHOLD WIDTH1 WIDTH2 COLLISIONS', &
-        '       bench memory ENGINE NUMBER THRESHOLD WIDTH1 WIDTH2 COLLISIONS', &
-        '       mpirun -n RANKS bench board [TASKS]'
+        '       bench memory ENGINE NUMBER THRESHOLD WIDTH1 WIDTH2 COLLISIONS'
     end select
   end subroutine bench_main
-
-  !> Number of tasks in the task queue, from the command line.
-  function task_count() result(tasks)
-    integer :: tasks
-    character(len=32) :: word
-    integer :: status
-
-    call get_command_argument(2, word)
-    tasks = 100000
-    if (word == '') return
-    read (word, *, iostat=status) tasks
-    if (status /= 0 .or. tasks < 1) error stop 'bench board: TASKS is a whole number from 1 up'
-  end function task_count
 
   !> Name of the JSON file, from the command line; empty if there is none.
   function json_file_name() result(name)
