@@ -16,10 +16,6 @@ MORE = {
     "accuracy": ("postproc.advice", *WHOLE),
     "common": WHOLE,
     "compare": ("postproc.report.data", "postproc.progress", *WHOLE),
-<<<<<<< HEAD
-    "mixing": ("postproc.figures.passages", *WHOLE),
-=======
->>>>>>> w_finish
     "one_particle": ("postproc.progress", *WHOLE),
     "renewal_gate": WHOLE,
     "speed": WHOLE,

@@ -319,10 +319,5 @@ def test_large_numbers_are_shown_whole(tmp_path: Path) -> None:
     (tmp_path / "case.nml").write_text(case)
     ended = run("case.nml", folder=tmp_path)
     assert ended.returncode == 0, ended.stderr
-<<<<<<< HEAD
-    rows = [line.split()[:4] for line in ended.stdout.splitlines()]
-    assert ["20", "2147483647", "0.3000", "0.010000"] in rows
-=======
     shown = [line.split()[:4] for line in ended.stdout.splitlines()]
     assert ["20", "2147483647", "0.3000", "0.010000"] in shown
->>>>>>> w_finish

@@ -151,11 +151,7 @@ def test_damage_is_an_error_or_not_noticed_and_verify_notices_all(
                 seen.append(str(problem))
         with pytest.raises(InputError, match=path.name):
             open_results(path, verify=True)
-<<<<<<< HEAD
-        assert call("report", [str(path), "--verify"]) == EXIT_BAD_INPUT
-=======
         assert call("currents", [str(path), "--verify"]) == EXIT_BAD_INPUT
->>>>>>> w_finish
     assert len(seen) > 10
     assert all(path.name in one for one in seen)
 

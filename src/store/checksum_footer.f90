@@ -136,13 +136,7 @@ contains
     character(len=*), intent(in) :: name
     !> It is something else; code `exit_bad_input`.
     type(error_type), allocatable, intent(out) :: error
-<<<<<<< HEAD
     character(len=8) :: first
-=======
-    character(len=*), parameter :: signature = char(137)//'HDF'//achar(13)//achar(10)//achar(26) &
-      //achar(10)
-    character(len=len(signature)) :: first
->>>>>>> w_finish
     character(len=footer_length) :: last
     integer(int64) :: bytes
     integer :: unit, status
