@@ -32,6 +32,9 @@ def folder(tmp_path: Path) -> Path:
     os.link(tmp_path / "other.h5", tmp_path / "hard link")
     (tmp_path / "link").symlink_to("case.h5")
     (tmp_path / "table.json").write_text('{"results": [1, 2]}\n')
+    line = run("--quiet", "--json", "/dev/stdout", "other.nml", folder=tmp_path).stdout
+    assert line.startswith("{")
+    (tmp_path / "lines.json").write_text(2 * line)
     return tmp_path
 
 
@@ -43,7 +46,7 @@ def contents(folder: Path) -> dict[Path, bytes]:
 @pytest.mark.parametrize(
     "name",
     [
-        "case.nml", "start.txt", "other.nml", "other.h5", "hard link", "table.json",  # they exist
+        "case.nml", "start.txt", "other.nml", "other.h5", "hard link", "table.json", "lines.json",  # exist
         "case.h5", "./case.h5", "part/../case.h5", "link",  # these do not yet
         "case.h5.part", "case.h5.owner", "case.h5.tasks", "part", "no folder/new.json",
     ],

@@ -221,9 +221,24 @@ def endless(path: Path) -> None:
         file.create_dataset("series/urn1_number", (2, 1, 10**14), "i4", chunks=(1, 1, 1000))
 
 
+def undone(path: Path) -> None:
+    """Say of one task that it has not been done, in a file that calls itself complete."""
+    with h5py.File(path, "r+") as file:
+        file["task_status"][0, 0] = 2
+
+
+def no_status(path: Path) -> None:
+    """Give a task a status that no task can have, in a file that calls itself partial."""
+    with h5py.File(path, "r+") as file:
+        file["task_status"][0, 0] = 77
+        file.attrs["status"] = "partial"
+
+
 @pytest.mark.parametrize(
     ("change", "code", "said"),
     [
+        (undone, 2, "/task_status"),
+        (no_status, 2, "/task_status"),
         (linked, 2, "/chi is a link out of its place"),
         (outside, 2, "/chi does not lie in the file itself"),
         (endless, 2, "no memory for /series"),

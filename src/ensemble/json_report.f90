@@ -68,8 +68,9 @@ contains
       reason = 'the file cannot be written to'
     else
       call read_input(path, longest, text, error)
-      if (allocated(error) .or. (text /= '' .and. index(text, mark) /= 1)) &
-        reason = 'the file has other contents, and is kept'
+      ! One line: several may be what somebody collected from standard output.
+      if (allocated(error) .or. (text /= '' .and. (index(text, mark) /= 1 .or. &
+        index(text, achar(10)) /= len(text)))) reason = 'the file has other contents, and is kept'
     end if
   end function reason_to_keep
 

@@ -22,9 +22,9 @@ module battery_results_file
   use battery_hdf5_datasets, only: serialize_dataset, write_dataset, write_scale, extents_of
   use battery_quantities, only: quantity_type, averaged_quantities, counted_quantities, place_of, &
     unknown_count
-  use battery_results, only: results_type, new_results, scatter_of, task_complete, task_failed, &
-    task_not_done, task_not_asked, point_precise, point_not_precise, point_two_states, &
-    point_undecided
+  use battery_results, only: results_type, new_results, scatter_of, all_tasks_complete, &
+    task_complete, task_failed, task_not_done, task_not_asked, point_precise, point_not_precise, &
+    point_two_states, point_undecided
   use battery_available_memory, only: check_memory, bytes_per_task, bytes_per_entry, &
     bytes_per_state, most_numbers
   use battery_metadata, only: metadata_type, write_metadata
@@ -104,11 +104,12 @@ contains
     end if
   end subroutine publish_temporary
 
-  !> Gives a results file that lacks a footer a new one, if all in it can be read, and its structure
-  !> and its seeds are those that follow from its namelist. A copy with a footer replaces it.
-  subroutine accept_results(name, before, results, error)
-    !> Path of the file.
-    character(len=*), intent(in) :: name
+  !> Gives a results file that lacks a footer a new one, if all in it can be read, its structure and
+  !> its seeds are those that follow from its namelist, and it says of its tasks what it has of them.
+  !> A copy with a footer replaces it.
+  subroutine accept_results(name, status, before, results, error)
+    !> Path of the file, and its attribute `status`.
+    character(len=*), intent(in) :: name, status
     !> Stamp of the file before it was looked at, so that no change in between is accepted.
     type(file_stamp_type), intent(in) :: before
     !> Its numbers.
@@ -122,6 +123,12 @@ contains
     integer :: r, p
 
     call open_contents(name, file, plan, results, output_datasets, error)
+    if (.not. allocated(error)) then
+      if (any(results%task_status < task_complete .or. results%task_status > task_not_asked) .or. &
+        status /= trim(merge('complete', 'partial ', all_tasks_complete(results)))) &
+        call fatal_error(error, name//': /task_status is not that of a file with the status ' &
+        //status, exit_bad_input)
+    end if
     do p = 1, merge(0, plan%point_count, allocated(error))
       point = point_of(plan, p)
       do r = 1, plan%replicas
