@@ -61,6 +61,15 @@ def test_a_circuit_is_written_alike_in_each_process(gate: Gate) -> None:
     assert f"gate={gate.name}," in repr(replace(BATTERY, gate=gate))
 
 
+def test_an_answer_of_which_a_digit_has_changed_is_made_again(place: Path) -> None:
+    theory = Asked()
+    keeping.kept("states", BATTERY, theory)
+    (path,) = place.iterdir()
+    path.write_text(path.read_text().replace("[0.5, 2.0]", "[0.7, 2.0]"))
+    assert keeping.kept("states", BATTERY, theory) == [0.5, 2.0]
+    assert theory.times == 2
+
+
 @pytest.mark.parametrize(
     "text", ["", '{"asked": "states", "fou', "[1, 2]", "null", '{"found": [9.0]}', "\x00\x01"]
 )

@@ -61,6 +61,11 @@ def test_fit_agrees_with_the_simulations_kept_with_it() -> None:
     assert RENEWAL.fit["largest_misfit"] < 1e-5
 
 
+@pytest.mark.parametrize("threshold", [10_000, 10**6, 10**9])
+def test_gate_with_room_for_twice_as_many_lets_all_pass(threshold: int) -> None:
+    assert float(RENEWAL.share(threshold, 0.5 * threshold)) == pytest.approx(1.0, abs=1e-15)
+
+
 def test_many_particles_fill_a_gate_as_a_fluid() -> None:
     assert fluid_share(1.0) == 1.0
     assert fluid_share(0.5 * np.pi) == 0.0

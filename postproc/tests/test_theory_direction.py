@@ -287,6 +287,12 @@ def test_nearly_all_particles_in_one_urn_are_found(circuit: Circuit) -> None:
         assert stable[-1].mass_spread == pytest.approx(ports_have, abs=1e-3)
 
 
+def test_thresholds_above_the_number_of_particles_have_one_state() -> None:
+    circuit = Circuit(number=10**6, threshold=10**6 + 5, channel1_width=1e-3, channel2_width=0.0281)
+    assert MODELS["direction"].homogeneous_kind(circuit) == "stable"
+    assert 10**6 < fate._closed_load(10**6) < 0.5 * math.pi * 10**6
+
+
 def test_a_gate_with_room_for_many_has_chances() -> None:
     stays, shares = fate.cosine_law(0.5)
     with np.errstate(all="raise", under="ignore"):

@@ -122,8 +122,9 @@ def overall_share(threshold: int, rate: float, stays: Floats, shares: Floats) ->
 def _closed_load(threshold: int) -> float:
     """Return the load at which the share `CLOSED` passes a gate."""
     goal = special.logit(CLOSED)
+    most = max(1e6, 10.0 * threshold)
     return float(
-        optimize.brentq(lambda load: float(RENEWAL.logit(threshold, load)) - goal, 1e-3, 1e6)
+        optimize.brentq(lambda load: float(RENEWAL.logit(threshold, load)) - goal, 1e-3, most)
     )
 
 

@@ -1,8 +1,8 @@
 """Cache in the user's folder of results of theories that take seconds.
 
 Each result has a file, named by all that it depends on: the question, the circuit, and the modules
-of this package. The file contains this key as well. So a result that is old, damaged, or of another
-circuit is never used.
+of this package. The file contains this key as well, and a digest of the result. So a result that is
+old, damaged, or of another circuit is never used.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ def kept(question: str, circuit: Circuit, compute: Callable[[], object]) -> obje
     path = place() / f"{hashlib.sha256(key.encode()).hexdigest()}.json"
     try:
         stored = json.loads(path.read_text(encoding="utf-8"))
-        if stored["asked"] == key:
+        if stored["asked"] == key and stored["digest"] == _digest(stored["found"]):
             return stored["found"]
     except (OSError, ValueError, KeyError, TypeError):
         pass
@@ -50,11 +50,17 @@ def kept(question: str, circuit: Circuit, compute: Callable[[], object]) -> obje
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         half = path.with_suffix(f".{os.getpid()}")
-        half.write_text(json.dumps({"asked": key, "found": found}), encoding="utf-8")
+        text = json.dumps({"asked": key, "digest": _digest(found), "found": found})
+        half.write_text(text, encoding="utf-8")
         half.replace(path)
     except OSError:
         pass
     return found
+
+
+def _digest(found: object) -> str:
+    """Return a digest of a result, the same before and after it was stored as JSON."""
+    return hashlib.sha256(json.dumps(found).encode()).hexdigest()
 
 
 @cache

@@ -156,6 +156,21 @@ def _fluid_logits() -> tuple[Floats, Floats]:
     return places, special.logit(np.array(shares))
 
 
+def _least_logit(threshold: Floats, load: Floats) -> Floats:
+    """Return a bound of the logit from below, minus infinity where the load is not below T.
+
+    Without reversals the number inside is Poisson distributed, and with them it is never greater.
+    So an entry finds T inside at most with the probability of T or more of the Poisson law, and
+    then T + 1 particles are thrown out.
+    """
+    below = load < threshold
+    count = np.where(below, threshold, 1.0)
+    x = np.where(below, load, 0.5)
+    out = special.xlogy(count, x) - x - special.gammaln(count + 1.0)
+    out += np.log(count + 1.0) - np.log1p(-x / (count + 1.0))
+    return np.where(below & (out < 0.0), np.log(-np.expm1(np.minimum(out, -1e-300))) - out, -np.inf)
+
+
 class RenewalGate:
     """The gate as a queue that is emptied; the module's docstring explains its share."""
 
@@ -226,7 +241,7 @@ class RenewalGate:
             others = np.delete(places, one)
             weight = np.prod([(at - other) / (places[one] - other) for other in others], axis=0)
             total = total + weight * logit
-        return total
+        return np.maximum(total, _least_logit(threshold, load))
 
     def share(self, threshold: ArrayLike, load: ArrayLike) -> Floats:
         """Return the share of the entries that gets through: 1 at load 0, 0 for T = 0."""
