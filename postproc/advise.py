@@ -125,9 +125,7 @@ def main(arguments: list[str] | None = None) -> int:
         groups, circuit = circuit_of(given.file)
     if given.quantity != "chi" and float(circuit.channel2_width) == 0.0:
         raise cli.InputError(f"without channel 2 there is no {given.quantity}")
-    found = advise(
-        groups, circuit, given.quantity, given.tolerance, longest=given.pilot_seconds
-    )
+    found = advise(groups, circuit, given.quantity, given.tolerance, longest=given.pilot_seconds)
     print(json.dumps(cli.finite(vars(found)), indent=2))
     print(sentence(found, given.quantity, given.tolerance), file=sys.stderr)
     return 0

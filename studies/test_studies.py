@@ -10,8 +10,13 @@ HERE = Path(__file__).parent
 # `import postproc` is for open_results
 DOORS = ("postproc.figures.style",)
 # theories that these compare with runs, and rungs of the ladder
-WHOLE = ("postproc.cli", "postproc.launcher", "postproc.reading", "postproc.running",
-         "postproc.theory")
+WHOLE = (
+    "postproc.cli",
+    "postproc.launcher",
+    "postproc.reading",
+    "postproc.running",
+    "postproc.theory",
+)
 MORE = {
     "accuracy": ("postproc.advice", *WHOLE),
     "common": WHOLE,

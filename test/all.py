@@ -59,8 +59,11 @@ def parts(arguments: argparse.Namespace) -> list[Part]:
     debug = [*fortran, "debug", f"--flags={arguments.debug}", f"--ldflags={arguments.debug_link}"]
     # The suites with the optimised library take half as long again, most of it in the
     # linker. What users run is tested by the Python tests in any case.
-    release = [f"--library={arguments.built}", f"--library-flags={arguments.release}",
-               f"--library-ldflags={arguments.release_link}"]
+    release = [
+        f"--library={arguments.built}",
+        f"--library-flags={arguments.release}",
+        f"--library-ldflags={arguments.release_link}",
+    ]
     ruff = str(TOOLS / "ruff")
     sources = ["--config", "postproc/ruff.toml", "postproc", "test", "docs", *STUDIES]
     # A file goes to one worker, so that what its tests share is made once.
@@ -68,8 +71,16 @@ def parts(arguments: argparse.Namespace) -> list[Part]:
     if not arguments.full:
         python += ["-m", "not full"]
     flang = newest_flang() if arguments.full else ""
-    second = [Part(f"Fortran, physics with {flang}",
-                   [*fortran, "release", "--physics", "--compiler", flang])] if flang else []
+    second = (
+        [
+            Part(
+                f"Fortran, physics with {flang}",
+                [*fortran, "release", "--physics", "--compiler", flang],
+            )
+        ]
+        if flang
+        else []
+    )
     if arguments.full and not flang:
         print("no flang is installed: its part of the tests is left out")
     folders = ("src", "app", "test", "docs", *STUDIES)
@@ -82,8 +93,11 @@ def parts(arguments: argparse.Namespace) -> list[Part]:
         ),
         Part("style of the Python sources", [ruff, "check", *sources], lint=True),
         Part("format of the Python sources", [ruff, "format", "--check", *sources], lint=True),
-        Part("Fortran, debug build with traps, then the library that make has built",
-             [*debug, *release]) if arguments.full
+        Part(
+            "Fortran, debug build with traps, then the library that make has built",
+            [*debug, *release],
+        )
+        if arguments.full
         else Part("Fortran, debug build with traps", debug),
         *second,
         Part("Python", [*python, "postproc", "test", *STUDIES]),
@@ -95,8 +109,13 @@ def run(part: Part) -> tuple[int, int]:
     print(f"\n== {part.name}", flush=True)
     begin = time.monotonic()
     process = subprocess.Popen(
-        part.command, cwd=ROOT, env=ENVIRONMENT, text=True, errors="replace",
-        stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
+        part.command,
+        cwd=ROOT,
+        env=ENVIRONMENT,
+        text=True,
+        errors="replace",
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
     )
     last = ""
     for line in process.stdout or ():

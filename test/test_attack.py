@@ -6,8 +6,12 @@ import pytest
 from attack import damage, extremes, kills, together
 from attack.common import trials
 
-ATTACKS = {"kills": kills.campaign, "damage": damage.attack, "extremes": extremes.attack,
-           "together": together.attack}
+ATTACKS = {
+    "kills": kills.campaign,
+    "damage": damage.attack,
+    "extremes": extremes.attack,
+    "together": together.attack,
+}
 # How many trials are made always, and how many if there are minutes.
 FEW = {"kills": 1, "extremes": 4}
 MANY = {"kills": 4, "damage": 16, "extremes": 16, "together": 4}

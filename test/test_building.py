@@ -58,8 +58,10 @@ def test_the_user_comes_before_wrappers_and_those_before_pkg_config(
 ) -> None:
     said, wrapped, packed = (hdf5(tmp_path / name) for name in ("said", "wrapped", "packed"))
     assert "hdf5" not in switches(tools, "compile", "release").stdout
-    script(tools / "pkg-config",
-           f'case "$*" in *" hdf5") echo -I{packed}/include -L{packed}/lib;; *) exit 1;; esac')
+    script(
+        tools / "pkg-config",
+        f'case "$*" in *" hdf5") echo -I{packed}/include -L{packed}/lib;; *) exit 1;; esac',
+    )
     assert f"-I{packed}/include" in switches(tools, "compile", "release").stdout
     # CMake's wrapper knows no -show, and its words are no switches; one without modules is no use.
     script(tools / "h5pfc", "echo dir is /nowhere; exit 1")
@@ -124,7 +126,7 @@ def test_what_does_not_work_is_forgotten(tmp_path: Path) -> None:
 
 @pytest.mark.full
 def test_the_product_does_without_studies(tmp_path: Path) -> None:
-    """In a copy without that folder the demo runs, the pages are made, and tests are found and pass.
+    """In a copy without that folder the demo runs, pages are made, and tests are found and pass.
 
     Only those that read pages and the tree run: all of `make test` once more would double its time,
     and a test that imports or names a study fails as it is collected, or in `test_layers`.

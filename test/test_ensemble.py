@@ -119,9 +119,7 @@ def compute(process: Popen[str], numbers: list[int], seconds: float) -> None:
     )  # fmt: skip
 
 
-def in_steps(
-    process: Popen[str], number: int, seconds: float, found: Callable[[], bool]
-) -> bool:
+def in_steps(process: Popen[str], number: int, seconds: float, found: Callable[[], bool]) -> bool:
     """Let a rank compute for `seconds` at a time, until something is found; false if it ends.
 
     It is held between, so that it saves a state each time, however short its tasks are. What is
@@ -194,8 +192,11 @@ def test_ranks_in_other_folders_are_refused(tmp_path: Path, interrupted: Path) -
     ended = run(folder=tmp_path, ranks=ranks)
     assert ended.returncode == 2, (ended.stdout, ended.stderr)
     words = "does not see the folder that rank 0 writes to; start all ranks in one folder"
-    assert [f"out.h5: rank 1, on {socket.gethostname()}, {words}" in line
-            for line in ended.stderr.splitlines() if line.startswith("out.h5")] == [True]
+    assert [
+        f"out.h5: rank 1, on {socket.gethostname()}, {words}" in line
+        for line in ended.stderr.splitlines()
+        if line.startswith("out.h5")
+    ] == [True]
     assert listing(tmp_path) == before
 
 
@@ -437,9 +438,7 @@ def flip(path: Path, at: int) -> None:
 
 
 @pytest.mark.parametrize("share", [0.0, 0.45, 0.55, 0.999])
-def test_truncated_part(
-    tmp_path: Path, interrupted: Path, undisturbed: Path, share: float
-) -> None:
+def test_truncated_part(tmp_path: Path, interrupted: Path, undisturbed: Path, share: float) -> None:
     """A rank file cut short is found out; what stands before the cut is used."""
     folder = copy_of(interrupted, tmp_path)
     path = folder / "out.h5.tasks/rank_0"
@@ -540,9 +539,7 @@ def test_damaged_plan_and_another_input(
 
 
 @pytest.mark.parametrize("ranks", [0, 2])
-def test_edited_namelist(
-    tmp_path: Path, interrupted: Path, undisturbed: Path, ranks: int
-) -> None:
+def test_edited_namelist(tmp_path: Path, interrupted: Path, undisturbed: Path, ranks: int) -> None:
     """Another input is refused with the keys that differ; with the old one the run goes on."""
     folder = copy_of(interrupted, tmp_path)
     write(folder, gate={"threshold": 4}, scan={"channel2_width": "0.01, 0.2"})

@@ -32,8 +32,14 @@ def lacking(tmp_path_factory: pytest.TempPathFactory) -> str:
 
 def write(folder: Path, replicas: int, **limits: str) -> None:
     """Write the input."""
-    case = {"particles": {"number": 60}, "gate": {"threshold": 2}, "run": {"duration": 2000},
-            "scan": {"replicas": replicas}, "output": {"file": "'out.h5'"}, "limits": limits}
+    case = {
+        "particles": {"number": 60},
+        "gate": {"threshold": 2},
+        "run": {"duration": 2000},
+        "scan": {"replicas": replicas},
+        "output": {"file": "'out.h5'"},
+        "limits": limits,
+    }
     (folder / "case.nml").write_text(namelist(**case))
 
 

@@ -18,8 +18,12 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 CASES = {path.stem: read_frozen(path) for path in sorted(FOLDER.glob("*.txt"))}
-RUNS = [(name, answer, engine) for name, frozen in CASES.items()
-        for answer, found in frozen.answers.items() for engine in found.engines]
+RUNS = [
+    (name, answer, engine)
+    for name, frozen in CASES.items()
+    for answer, found in frozen.answers.items()
+    for engine in found.engines
+]
 COLUMNS = ("kind", "where", "particle")
 
 
@@ -36,15 +40,21 @@ def test_there_are_a_dozen_tables_of_hundreds_of_events() -> None:
     """What is compared below is not nothing."""
     assert len(CASES) >= 12
     assert {engine for _, _, engine in RUNS} == {
-        "excursion", "collision", "synchronous", "timestep"}
-    events = np.concatenate([one.events for frozen in CASES.values()
-                             for one in frozen.answers.values()])
+        "excursion",
+        "collision",
+        "synchronous",
+        "timestep",
+    }
+    events = np.concatenate(
+        [one.events for frozen in CASES.values() for one in frozen.answers.values()]
+    )
     assert len(events) > 2000
     assert set(events[:, 0]) == {1, 2, 3, 4}
 
 
-@pytest.mark.parametrize(("name", "answer", "engine"), RUNS,
-                         ids=[f"{name}-{engine}" for name, _, engine in RUNS])
+@pytest.mark.parametrize(
+    ("name", "answer", "engine"), RUNS, ids=[f"{name}-{engine}" for name, _, engine in RUNS]
+)
 def test_frozen(tmp_path: Path, name: str, answer: str, engine: str) -> None:
     """Events in their order, exactly; times and the places at the end, nearly."""
     wanted = CASES[name].answers[answer]
@@ -56,6 +66,7 @@ def test_frozen(tmp_path: Path, name: str, answer: str, engine: str) -> None:
     parted = np.flatnonzero((events[:common] != wanted.events[:common]).any(axis=1))
     where = parted[0] if parted.size else common
     assert events.tolist() == wanted.events.tolist(), (
-        f"the histories part at event {where} of {len(wanted.events)}")
+        f"the histories part at event {where} of {len(wanted.events)}"
+    )
     assert np.abs(times - wanted.times).max() <= wanted.tolerance
     assert np.abs(final - wanted.final).max() <= wanted.final_tolerance

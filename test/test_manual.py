@@ -41,9 +41,14 @@ GOOD = [
 BAD = [
     ("```fortran\n&run\n  colisions = 1000\n/\n```", "colisions"),
     ("```fortran\n&gate\n  threshold = -1\n/\n```", "threshold"),
-    *([("```\nmake coffee\n```", "make has no coffee"),
-       ("```sh\nbuild/bin/no_such FILE.nml\n```", "there is no build/bin/no_such"),
-       ] if (ROOT / "studies").is_dir() else []),  # else all targets may be theirs
+    *(
+        [
+            ("```\nmake coffee\n```", "make has no coffee"),
+            ("```sh\nbuild/bin/no_such FILE.nml\n```", "there is no build/bin/no_such"),
+        ]
+        if (ROOT / "studies").is_dir()
+        else []
+    ),  # else all targets may be theirs
     ("```sh\npython -m postproc.theory --numbr 10\n```", "postproc.theory has no --numbr"),
     ("```sh\npython -m postproc.alchemy\n```", "postproc.alchemy cannot be called"),
     ("```sh\npython3 test/no_such.py\n```", "there is no test/no_such.py"),
@@ -186,10 +191,21 @@ def test_the_site_is_made_and_the_browser_has_nothing_to_say(tmp_path: Path) -> 
     assert [path.name for path in site.rglob("*.html") if loaded.search(path.read_text())] == []
     for name in ("index.html", "theory.html", "input.html", "search.html?q=channel2_width"):
         done = subprocess.run(
-            [BROWSER, "--headless", "--no-sandbox", "--disable-gpu", "--enable-logging=stderr",
-             "--virtual-time-budget=8000", f"--user-data-dir={tmp_path / 'profile'}",
-             "--dump-dom", f"{site.as_uri()}/{name}"],
-            check=True, capture_output=True, text=True, timeout=120,
+            [
+                BROWSER,
+                "--headless",
+                "--no-sandbox",
+                "--disable-gpu",
+                "--enable-logging=stderr",
+                "--virtual-time-budget=8000",
+                f"--user-data-dir={tmp_path / 'profile'}",
+                "--dump-dom",
+                f"{site.as_uri()}/{name}",
+            ],
+            check=True,
+            capture_output=True,
+            text=True,
+            timeout=120,
         )
         assert "CONSOLE" not in done.stderr, name
     assert 'href="input.html#' in done.stdout

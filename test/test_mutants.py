@@ -9,8 +9,11 @@ def test_every_listed_line_is_in_the_source(name: str) -> None:
     """Each file or folder has the line, and the change changes it."""
     entries = listed(name)
     assert entries, HERE / name
-    gone = [f"{home}: {line}" for home, line, changed, *_ in entries
-            if line == changed or not found_again(home, line, changed).number]
+    gone = [
+        f"{home}: {line}"
+        for home, line, changed, *_ in entries
+        if line == changed or not found_again(home, line, changed).number
+    ]
     assert not gone
 
 

@@ -76,7 +76,7 @@ def test_of_two_machines_that_start_at_once_one_has_the_output(
             assert time.monotonic() < end, "both run"
             lost = {k: run for k, run in enumerate(runs) if run.poll() is not None}
             time.sleep(0.01)
-        (k, run), = lost.items()
+        ((k, run),) = lost.items()
         words = run.communicate(timeout=PATIENCE)[0]
         assert run.returncode == 2, words
         assert f"out.h5: another run has locked it, on node{2 - k}, process " in words

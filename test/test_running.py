@@ -145,8 +145,9 @@ def test_ranks_that_nothing_waits_for_are_refused(tmp_path: Path) -> None:
     with pytest.raises(RunError):
         postproc.run(CASE, folder=tmp_path, ranks=4, launcher=unasked)
     with pytest.raises(ValueError, match="replicas"):
-        postproc.run({**CASE, "scan": {"replicas": 0}}, folder=tmp_path, ranks=1_000_000,
-                     launcher=unasked)
+        postproc.run(
+            {**CASE, "scan": {"replicas": 0}}, folder=tmp_path, ranks=1_000_000, launcher=unasked
+        )
 
 
 def test_a_namelist_replaces_a_namelist_but_no_results(tmp_path: Path) -> None:

@@ -14,19 +14,35 @@ NEEDED = {"avx512f", "avx512bw", "avx512cd", "avx512dq", "avx512vl"}
 ENGINES = ("excursion", "collision", "synchronous", "timestep", "reservoir")
 # What tells how a program was built.
 OF_THE_BUILD = {"/@compiler_options"}
-WIDE = {"urn_radius": 1.25, "channel1_width": 0.9, "channel1_length": 1.5, "channel2_width": 0.6,
-        "channel2_length": 0.75}
+WIDE = {
+    "urn_radius": 1.25,
+    "channel1_width": 0.9,
+    "channel1_length": 1.5,
+    "channel2_width": 0.6,
+    "channel2_length": 0.75,
+}
 TABLES: dict[str, dict[str, dict[str, object]]] = {
     "paper": {"particles": {"number": 300}, "gate": {"threshold": 5}},
     "wide": {"table": WIDE, "particles": {"number": 60}, "gate": {"threshold": "2, 3"}},
-    "unequal": {"table": {"urn_radius": "1.0, 0.7", "channel2_width": 0.2},
-                "particles": {"number": 100}, "gate": {"threshold": 4}},
-    "narrow": {"table": {"channel1_width": 1e-2, "channel2_width": 1e-3},
-               "particles": {"number": 50}, "gate": {"threshold": 1}},
+    "unequal": {
+        "table": {"urn_radius": "1.0, 0.7", "channel2_width": 0.2},
+        "particles": {"number": 100},
+        "gate": {"threshold": 4},
+    },
+    "narrow": {
+        "table": {"channel1_width": 1e-2, "channel2_width": 1e-3},
+        "particles": {"number": 50},
+        "gate": {"threshold": 1},
+    },
 }
 # Collisions of a second or two, so that a run can be stopped in the middle.
-LONG = {"excursion": 400_000_000, "collision": 10_000_000, "synchronous": 2_500_000,
-        "timestep": 2_000_000, "reservoir": 800_000_000}
+LONG = {
+    "excursion": 400_000_000,
+    "collision": 10_000_000,
+    "synchronous": 2_500_000,
+    "timestep": 2_000_000,
+    "reservoir": 800_000_000,
+}
 
 pytestmark = pytest.mark.full
 
@@ -54,8 +70,15 @@ def run_by(program: Path, folder: Path, text: str) -> int:
     """Run one of the builds in a folder; give its exit code."""
     folder.mkdir(exist_ok=True)
     (folder / "case.nml").write_text(text, encoding="utf-8")
-    ended = subprocess.run([str(program), "--quiet", "case.nml"], cwd=folder, env=ALONE,
-                           capture_output=True, text=True, check=False, timeout=10 * PATIENCE)
+    ended = subprocess.run(
+        [str(program), "--quiet", "case.nml"],
+        cwd=folder,
+        env=ALONE,
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=10 * PATIENCE,
+    )
     assert ended.returncode in (0, 3), ended.stderr
     return ended.returncode
 
@@ -78,14 +101,22 @@ def assert_all_the_same(folder: Path, builds: list[Path], text: str) -> Path:
     return results[0]
 
 
-def case_of(engine: str, run: dict[str, object], limits: dict[str, object] | None = None,
-            table: str = "paper", **output: object) -> str:
+def case_of(
+    engine: str,
+    run: dict[str, object],
+    limits: dict[str, object] | None = None,
+    table: str = "paper",
+    **output: object,
+) -> str:
     """Write the namelist of a case."""
     if engine == "timestep":
         run = {"time_step": 0.01, **run}
-    return namelist(**TABLES[table], run={"engine": f"'{engine}'", **run},
-                    output={"file": "'out.h5'", "final_state": ".true.", **output},
-                    limits=limits or {})
+    return namelist(
+        **TABLES[table],
+        run={"engine": f"'{engine}'", **run},
+        output={"file": "'out.h5'", "final_state": ".true.", **output},
+        limits=limits or {},
+    )
 
 
 @pytest.mark.parametrize("table", TABLES)
@@ -95,23 +126,30 @@ def test_events_and_final_states_are_the_same(
 ) -> None:
     """Event log, series, snapshots, final state and all results, to the last bit."""
     duration = 1000 if table == "narrow" else 100
-    text = case_of(engine, {"duration": duration, "start_time": 1000}, table=table,
-                   event_log=".true.", snapshot_times="1, 50", series_interval=5)
+    text = case_of(
+        engine,
+        {"duration": duration, "start_time": 1000},
+        table=table,
+        event_log=".true.",
+        snapshot_times="1, 50",
+        series_interval=5,
+    )
     with h5py.File(assert_all_the_same(tmp_path, builds, text)) as file:
         assert len(file["events/time"]) > 20
 
 
 @pytest.mark.parametrize("engine", ENGINES)
-def test_results_of_a_scan_are_the_same(
-    tmp_path: Path, builds: list[Path], engine: str
-) -> None:
+def test_results_of_a_scan_are_the_same(tmp_path: Path, builds: list[Path], engine: str) -> None:
     """Averages and errors of many tasks: what differs in the last bit once in a hundred shows."""
     run: dict[str, object] = {"engine": f"'{engine}'", "collisions": 4000}
     if engine == "timestep":
         run["time_step"] = 0.01
-    text = namelist(particles={"number": 30}, run=run,
-                    scan={"threshold": "1, 3", "channel1_width": "0.3, 0.7", "replicas": 12},
-                    output={"file": "'out.h5'", "final_state": ".true."})
+    text = namelist(
+        particles={"number": 30},
+        run=run,
+        scan={"threshold": "1, 3", "channel1_width": "0.3, 0.7", "replicas": 12},
+        output={"file": "'out.h5'", "final_state": ".true."},
+    )
     assert_all_the_same(tmp_path, builds, text)
 
 

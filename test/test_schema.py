@@ -47,8 +47,11 @@ def test_the_schema_refuses_the_keys_that_the_program_refuses(
     groups = schema.schema["properties"]
     names = {group: groups[group]["properties"] for group in groups}
     # A list and its range do not go together.
-    left_out = {key if ranges else f"{key}_range" for key in names["scan"]
-                if f"{key}_range" in names["scan"]}
+    left_out = {
+        key if ranges else f"{key}_range"
+        for key in names["scan"]
+        if f"{key}_range" in names["scan"]
+    }
     case: dict[str, Any] = {
         group: dict.fromkeys(names[group].keys() - (left_out if group == "scan" else set()), value)
         for group in groups
@@ -58,8 +61,10 @@ def test_the_schema_refuses_the_keys_that_the_program_refuses(
     assert "more; the last" not in ended.stderr
     told = re.findall(r"&(\w+) (\w+) = .*: (?:is|has|how many|begins) .*; allowed", ended.stderr)
     told += re.findall(r"&(\w+) (\w+) = .*; (?=allowed: numbers up to)", ended.stderr)
-    refused = {tuple(error.absolute_path)[:2]
-               for error in schema.iter_errors(read((tmp_path / "case.nml").read_text()))}
+    refused = {
+        tuple(error.absolute_path)[:2]
+        for error in schema.iter_errors(read((tmp_path / "case.nml").read_text()))
+    }
     assert refused == set(told)
 
 

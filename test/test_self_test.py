@@ -54,8 +54,15 @@ def test_a_file_that_cannot_be_written_is_found(tmp_path: Path) -> None:
     def no_files() -> None:
         resource.setrlimit(resource.RLIMIT_FSIZE, (0, 0))
 
-    done = subprocess.run([PROGRAM, "--self-test"], cwd=tmp_path, env=ALONE, text=True,
-                          preexec_fn=no_files, capture_output=True, check=False)
+    done = subprocess.run(
+        [PROGRAM, "--self-test"],
+        cwd=tmp_path,
+        env=ALONE,
+        text=True,
+        preexec_fn=no_files,
+        capture_output=True,
+        check=False,
+    )
     assert done.returncode == 1, done.stderr
     assert "results file written and read back: FAILED: " in done.stdout
     # Open MPI 5 says first that it cannot write a file of its own.

@@ -242,9 +242,7 @@ def test_a_cancelled_job_goes_on_when_it_is_submitted_again(
 
 
 @pytest.mark.parametrize("mpi", MPI[1:])
-def test_programs_of_one_rank_are_told_what_to_type(
-    slurm: Slurm, tmp_path: Path, mpi: str
-) -> None:
+def test_programs_of_one_rank_are_told_what_to_type(slurm: Slurm, tmp_path: Path, mpi: str) -> None:
     """MPICH under srun without its PMI: one computes, the others name srun and the way out."""
     folder = checkout(tmp_path, mpi, 100 * SHORT)
     start = ["srun", "--mpi=none", "--nodes=2", "--ntasks=3"]

@@ -207,8 +207,12 @@ class Fences:
         text = (self.root / "Makefile").read_text()
         for name in re.findall(r"^-include (\S+\.mk)$", text, re.MULTILINE):
             text += (self.root / name).read_text() if (self.root / name).is_file() else ""
-        return [f"make has no {one}" for one in words
-                if "=" not in one and not re.search(rf"^(?:\S+ )*{re.escape(one)}[ :]", text, re.MULTILINE)]
+        return [
+            f"make has no {one}"
+            for one in words
+            if "=" not in one
+            and not re.search(rf"^(?:\S+ )*{re.escape(one)}[ :]", text, re.MULTILINE)
+        ]
 
     def _module(self, words: list[str], folder: Path) -> list[str]:
         """Check options against the help of a module or of its subcommand."""

@@ -543,4 +543,3 @@ def mean_and_error(
     error = np.where(count <= FEW, np.maximum(np.where(count > 1, between, 0.0), within), between)
     untold = (count == 0) | ((count == 1) & ~known.any(axis=-1))
     return np.where(count == 0, math.nan, mean), np.where(untold, math.nan, error)
-

@@ -52,7 +52,6 @@ from postproc.theory.visits import NARROW, visits
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
-
     Floats = NDArray[np.float64]
 
 POLYNOMIALS = 12

@@ -18,7 +18,6 @@ from studies.accuracy.observables import by_time, figure_observables, lacking, r
 from studies.common.study import Study
 
 if TYPE_CHECKING:
-
     from studies.accuracy.ladder import Answer
 
 HERE = Path(__file__).parent

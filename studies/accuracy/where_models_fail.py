@@ -203,4 +203,3 @@ def run(work: Study) -> None:
 
 def _text(value: object) -> str:
     return f"{value:.5g}" if isinstance(value, float) else str(value)
-

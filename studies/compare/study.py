@@ -172,7 +172,6 @@ def compare(files: Sequence[Results]) -> list[Comparison]:
     return [chosen(files, MODELS[name]) for name in THEORIES]
 
 
-
 def main(arguments: list[str] | None = None) -> int:
     """Print the differences of each theory from the runs."""
     options = study.parser(__file__, __doc__)

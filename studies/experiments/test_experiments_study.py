@@ -52,9 +52,7 @@ def test_directions_forget_as_legendre_modes_do() -> None:
 def test_circulation_is_that_of_the_formula() -> None:
     assert circulation_rate(CIRCUIT, 955.7, 1) == pytest.approx(2.27e-3, rel=2e-3)
     wide = Circuit(1000, 7, channel2_width=0.02)
-    ratio = circulation_rate(wide, 955.7, 4) / circulation_rate(
-        CIRCUIT, 955.7, 1
-    )
+    ratio = circulation_rate(wide, 955.7, 4) / circulation_rate(CIRCUIT, 955.7, 1)
     assert ratio == pytest.approx(1.0, rel=1e-3)
 
 

@@ -51,7 +51,6 @@ BLOCKS = 20  # of time, from which the errors of the scan are taken
 APART = 60.0  # time between two starts of runs backwards
 
 
-
 @dataclass(frozen=True)
 class Reversals:
     """The reversals in one log.

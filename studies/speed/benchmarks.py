@@ -55,8 +55,11 @@ def count_instructions(program: Path, valgrind: str, lengths: tuple[int, int] = 
         ]  # fmt: skip
         runs = [
             subprocess.Popen(
-                cli.ended_with_python(command), stdout=subprocess.PIPE, stderr=subprocess.PIPE,
-                text=True, cwd=folder,
+                cli.ended_with_python(command),
+                stdout=subprocess.PIPE,
+                stderr=subprocess.PIPE,
+                text=True,
+                cwd=folder,
             )
             for command in commands
         ]

@@ -263,8 +263,14 @@ def figure_growth(rows: Sequence[dict[str, Any]], rate: float, found: dict[str, 
             left.semilogy(time, EPSILON[precision] * np.exp(growth * time), dashes,
                           color=style.GREY, lw=0.9)  # fmt: skip
     for growth, (dashes, whose) in rates.items():
-        left.plot([], [], dashes, color=style.GREY, lw=0.9,
-                  label=rf"$\epsilon\,e^{{\lambda t}}$, $\lambda = {growth:.3f}$: {whose}")
+        left.plot(
+            [],
+            [],
+            dashes,
+            color=style.GREY,
+            lw=0.9,
+            label=rf"$\epsilon\,e^{{\lambda t}}$, $\lambda = {growth:.3f}$: {whose}",
+        )
     left.set_xlabel("time")
     left.set_ylabel("median error of places, free circuit")
     left.set_ylim(1e-36, 1e2)

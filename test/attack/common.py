@@ -26,8 +26,17 @@ if TYPE_CHECKING:
 # A run that lasts longer hangs.
 PATIENCE = 60.0
 # Words of a program that broke, in place of one that said what is wrong.
-BROKEN = ("Backtrace", "Fortran runtime error", "Error termination", "SIGSEGV", "SIGFPE",
-          "HDF5-DIAG", "Program received signal", "Error allocating", "ERROR STOP")
+BROKEN = (
+    "Backtrace",
+    "Fortran runtime error",
+    "Error termination",
+    "SIGSEGV",
+    "SIGFPE",
+    "HDF5-DIAG",
+    "Program received signal",
+    "Error allocating",
+    "ERROR STOP",
+)
 
 
 @dataclass

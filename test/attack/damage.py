@@ -15,8 +15,25 @@ from pathlib import Path
 from .common import Outcome, attempt, command_line, unlike
 from .scene import half_way, undisturbed, write
 
-WAYS = ["flip", "flip", "flip", "cut", "cut", "zero", "noise", "longer", "empty", "gone", "swap",
-        "copy", "folder", "link", "dangling", "loop", "fifo"]
+WAYS = [
+    "flip",
+    "flip",
+    "flip",
+    "cut",
+    "cut",
+    "zero",
+    "noise",
+    "longer",
+    "empty",
+    "gone",
+    "swap",
+    "copy",
+    "folder",
+    "link",
+    "dangling",
+    "loop",
+    "fifo",
+]
 
 # A message may have a line for each key, and one that says what to do.
 MOST_LINES = 4
@@ -35,7 +52,7 @@ def spoil_bytes(path: Path, way: str, choice: random.Random) -> str:
         data = data[:at]
     elif way in ("zero", "noise"):
         block = bytes(room) if way == "zero" else choice.randbytes(room)
-        data[at:at + room] = block[:len(data) - at]
+        data[at : at + room] = block[: len(data) - at]
     elif way == "longer":
         data += choice.choice([bytes(room), choice.randbytes(room), bytes(data[:room])])
     elif way == "empty":
@@ -109,8 +126,10 @@ def attack(folder: Path, choice: random.Random) -> Outcome:
         outcome.findings.append(f"{told}: {wrong}")
     elif found.code == 0:
         results = folder / "out.h5"
-        if "is complete" in found.output and whole and (
-            not results.is_file() or results.read_bytes() != undisturbed().read_bytes()
+        if (
+            "is complete" in found.output
+            and whole
+            and (not results.is_file() or results.read_bytes() != undisturbed().read_bytes())
         ):
             outcome.findings.append(f"{told}: 'is complete', but it is not what it was")
         elif wrong := unlike(results, undisturbed()):

@@ -63,11 +63,15 @@ def length_of_run(choice: random.Random, radius: float) -> dict[str, Any]:
     """Draw how long it runs, in collisions or in time."""
     if choice.random() < 0.5:
         collisions = choice.choice([1, 2, 1000, 20000])
-        return {"collisions": collisions,
-                "transient_collisions": choice.choice([0, collisions // 2])}
+        return {
+            "collisions": collisions,
+            "transient_collisions": choice.choice([0, collisions // 2]),
+        }
     duration = spread(choice, 10.0 * radius, 1.0)
-    return {"duration": duration,
-            "transient_duration": duration * choice.choice([0.0, 0.5, 1 - 1e-12])}
+    return {
+        "duration": duration,
+        "transient_duration": duration * choice.choice([0.0, 0.5, 1 - 1e-12]),
+    }
 
 
 def draw(choice: random.Random) -> dict[str, dict[str, Any]]:
@@ -76,26 +80,40 @@ def draw(choice: random.Random) -> dict[str, dict[str, Any]]:
     number = choice.choice([1, 2, 3, 10, 100, 2000])
     engine = choice.choice(list(ENGINES))
     shortest = min(shape["urn_radius"], shape["channel1_length"] / 2, shape["channel2_length"] / 2)
-    run = {"engine": f"'{engine}'", "time_step": shortest * choice.choice([0.9, 0.01, 1e-6]),
-           "start_time": choice.choice([0, 0, spread(choice, 1.0, 12.0)]),
-           **length_of_run(choice, shape["urn_radius"])}
-    moments = sorted({choice.choice([0.0, spread(choice, shape["urn_radius"], 2.0)])
-                      for _ in range(choice.randint(1, 4))})
-    output = {"file": "'out.h5'", "snapshot_times": ", ".join(map(str, moments)),
-              "event_log": choice.choice([".true.", ".false."]),
-              "final_state": choice.choice([".true.", ".false."])}
+    run = {
+        "engine": f"'{engine}'",
+        "time_step": shortest * choice.choice([0.9, 0.01, 1e-6]),
+        "start_time": choice.choice([0, 0, spread(choice, 1.0, 12.0)]),
+        **length_of_run(choice, shape["urn_radius"]),
+    }
+    moments = sorted(
+        {
+            choice.choice([0.0, spread(choice, shape["urn_radius"], 2.0)])
+            for _ in range(choice.randint(1, 4))
+        }
+    )
+    output = {
+        "file": "'out.h5'",
+        "snapshot_times": ", ".join(map(str, moments)),
+        "event_log": choice.choice([".true.", ".false."]),
+        "final_state": choice.choice([".true.", ".false."]),
+    }
     if choice.random() < 0.4:
         output["series_interval"] = spread(choice, shape["urn_radius"], 2.0)
     return {
         "table": shape,
-        "particles": {"number": number,
-                      "urn1_number": choice.choice([0, number, choice.randint(0, number)]),
-                      "seed": choice.choice([0, 1, LARGEST, choice.randrange(LARGEST)])},
+        "particles": {
+            "number": number,
+            "urn1_number": choice.choice([0, number, choice.randint(0, number)]),
+            "seed": choice.choice([0, 1, LARGEST, choice.randrange(LARGEST)]),
+        },
         "gate": {"threshold": choice.choice([0, 1, number, LARGEST, choice.randint(0, number)])},
         "run": run,
         "output": output,
-        "limits": {"wall_minutes": WALL_MINUTES,
-                   "checkpoint_minutes": choice.choice([0, 1e-300, 1e-3, 10, 1e300])},
+        "limits": {
+            "wall_minutes": WALL_MINUTES,
+            "checkpoint_minutes": choice.choice([0, 1e-300, 1e-3, 10, 1e300]),
+        },
     }
 
 

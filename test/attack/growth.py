@@ -25,8 +25,10 @@ STEPS: list[dict[str, dict[str, Any]]] = [
     {"scan": {"channel2_width": "0.01, 0.1", "replicas": 2}},
     {"scan": {"channel2_width": "0.01, 0.1", "threshold": "1, 2", "replicas": 3}},
     {"scan": {"channel2_width": "0.01, 0.03, 0.1", "threshold": "1, 2, 4", "replicas": 16}},
-    {"scan": {"channel2_width": "0.01, 0.03, 0.1", "threshold": "1, 2, 4", "replicas": 16},
-     "precision": PRECISION},
+    {
+        "scan": {"channel2_width": "0.01, 0.03, 0.1", "threshold": "1, 2, 4", "replicas": 16},
+        "precision": PRECISION,
+    },
 ]
 
 

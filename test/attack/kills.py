@@ -72,11 +72,23 @@ def disturb(folder: Path, choice: random.Random, outcome: Outcome) -> bool:
     if found.hung:
         outcome.findings.append(f"{ranks} ranks, signals to {victims}: hung")
     # Without mpirun the exit code is the program's own.
-    if ranks == 0 and victims != "everything" and found.code not in {
-        0, 3, -signal.SIGKILL, 128 + signal.SIGTERM, 128 + signal.SIGINT, 128 + signal.SIGUSR1,
-        # Before it has begun to listen.
-        -signal.SIGTERM, -signal.SIGINT, -signal.SIGUSR1,
-    }:
+    if (
+        ranks == 0
+        and victims != "everything"
+        and found.code
+        not in {
+            0,
+            3,
+            -signal.SIGKILL,
+            128 + signal.SIGTERM,
+            128 + signal.SIGINT,
+            128 + signal.SIGUSR1,
+            # Before it has begun to listen.
+            -signal.SIGTERM,
+            -signal.SIGINT,
+            -signal.SIGUSR1,
+        }
+    ):
         outcome.findings.append(f"exit {found.code}: {found.words[-400:]}")
     return found.code == 0
 

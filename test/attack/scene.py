@@ -16,8 +16,13 @@ if TYPE_CHECKING:
     from subprocess import Popen
 
 TASKS = 4
-ENGINES = {"excursion": 80_000_000, "collision": 1_000_000, "synchronous": 200_000,
-           "timestep": 40_000, "reservoir": 40_000_000}
+ENGINES = {
+    "excursion": 80_000_000,
+    "collision": 1_000_000,
+    "synchronous": 200_000,
+    "timestep": 40_000,
+    "reservoir": 40_000_000,
+}
 
 
 def write(folder: Path, engine: str = "excursion", **groups: dict[str, Any]) -> None:
@@ -27,8 +32,12 @@ def write(folder: Path, engine: str = "excursion", **groups: dict[str, Any]) -> 
         "gate": {"threshold": 3},
         "run": {"engine": f"'{engine}'", "collisions": ENGINES[engine], "time_step": 0.004},
         "scan": {"channel2_width": "0.01, 0.1", "replicas": TASKS // 2},
-        "output": {"file": "'out.h5'", "series_interval": 100, "snapshot_times": "0, 100",
-                   "final_state": ".true."},
+        "output": {
+            "file": "'out.h5'",
+            "series_interval": 100,
+            "snapshot_times": "0, 100",
+            "final_state": ".true.",
+        },
         "limits": {"checkpoint_minutes": 0.0005},
     }
     for group, keys in groups.items():
@@ -49,8 +58,12 @@ def workshop() -> Path:
 def undisturbed(engine: str = "excursion", threshold: int = 3, collisions: int = 0) -> Path:
     """Give the results of a run that nobody disturbs; collisions 0: as many as usual."""
     folder = workshop() / f"{engine}_{threshold}_{collisions}"
-    write(folder, engine, gate={"threshold": threshold},
-          run={"collisions": collisions or ENGINES[engine]})
+    write(
+        folder,
+        engine,
+        gate={"threshold": threshold},
+        run={"collisions": collisions or ENGINES[engine]},
+    )
     found = run("--quiet", "case.nml", folder=folder)
     assert found.returncode == 0, found.stderr
     return folder / "out.h5"

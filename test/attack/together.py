@@ -27,10 +27,26 @@ if TYPE_CHECKING:
 
 THRESHOLDS = (3, 4)
 # What a rank may be given besides, or in place of its words.
-OTHER_WORDS = (["--check"], ["--help"], ["--version"], ["--quiet"], ["--overwrit"], ["x.nml"],
-               ["--"])
-ENVIRONMENTS = ({}, {}, {"TMPDIR": "/nowhere"}, {"LC_ALL": "C"}, {"HOME": ""}, {"TZ": "Asia/Tokyo"},
-                {"OMP_NUM_THREADS": "3"}, {"HDF5_USE_FILE_LOCKING": "FALSE"}, {"COLUMNS": "1"})
+OTHER_WORDS = (
+    ["--check"],
+    ["--help"],
+    ["--version"],
+    ["--quiet"],
+    ["--overwrit"],
+    ["x.nml"],
+    ["--"],
+)
+ENVIRONMENTS = (
+    {},
+    {},
+    {"TMPDIR": "/nowhere"},
+    {"LC_ALL": "C"},
+    {"HOME": ""},
+    {"TZ": "Asia/Tokyo"},
+    {"OMP_NUM_THREADS": "3"},
+    {"HDF5_USE_FILE_LOCKING": "FALSE"},
+    {"COLUMNS": "1"},
+)
 
 
 @dataclass
@@ -107,8 +123,9 @@ def attack(folder: Path, choice: random.Random) -> Outcome:
         if found.code == 0 and one.allowed != {2}:
             winners.add(one.threshold)
         if k != victim and (wrong := found.wrong(one.allowed)):
-            outcome.findings.append(f"run {k} of {len(runs)}, T = {one.threshold}, "
-                                    f"{one.ranks} ranks: {wrong}")
+            outcome.findings.append(
+                f"run {k} of {len(runs)}, T = {one.threshold}, {one.ranks} ranks: {wrong}"
+            )
     after = {name: what for name, what in listing(other).items() if not name.startswith("case")}
     if after != {name: what for name, what in before.items() if not name.startswith("case")}:
         outcome.findings.append(f"another run's folder was changed: {sorted(after)}")

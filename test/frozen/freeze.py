@@ -42,13 +42,22 @@ def input_of(case: Case) -> tuple[str, str]:
     """Give namelist and initial file."""
     table, particles = case.table, case.particles()
     text = namelist(
-        table={"shape": f"'{table.shape}'", "urn_radius": table.radius,
-               "channel1_width": table.width1, "channel1_length": table.length1,
-               "channel2_width": table.width2, "channel2_length": table.length2},
+        table={
+            "shape": f"'{table.shape}'",
+            "urn_radius": table.radius,
+            "channel1_width": table.width1,
+            "channel1_length": table.length1,
+            "channel2_width": table.width2,
+            "channel2_length": table.length2,
+        },
         particles={"number": len(particles), "initial_file": "'start.txt'"},
         gate={"threshold": case.threshold},
-        run={"engine": "'excursion'", "time_step": case.time_step, "duration": case.duration,
-             "start_time": case.start_time},
+        run={
+            "engine": "'excursion'",
+            "time_step": case.time_step,
+            "duration": case.duration,
+            "start_time": case.start_time,
+        },
         output={"file": "'out.h5'", "event_log": ".true.", "final_state": ".true."},
     )
     return text, "".join(" ".join(map(repr, map(float, one))) + "\n" for one in particles)
@@ -80,18 +89,34 @@ def of_precision(case: Case, particles: str, engine: str, bits: int = 128) -> An
     with tempfile.NamedTemporaryFile("w", suffix=".txt") as file:
         file.write(particles)
         file.flush()
-        numbers = [len(particles.splitlines()), case.threshold, case.time_step, table.radius,
-                   table.width1, table.length1, table.width2, table.length2, case.start_time,
-                   case.duration]
+        numbers = [
+            len(particles.splitlines()),
+            case.threshold,
+            case.time_step,
+            table.radius,
+            table.width1,
+            table.length1,
+            table.width2,
+            table.length2,
+            case.start_time,
+            case.duration,
+        ]
         asked = f"{engine} {table.shape} '{file.name}'\n{' '.join(map(str, numbers))}\n"
-        ended = subprocess.run([ROOT / f"build/bin/events-real{bits}"], input=asked, check=True,
-                               text=True, capture_output=True, timeout=600)
+        ended = subprocess.run(
+            [ROOT / f"build/bin/events-real{bits}"],
+            input=asked,
+            check=True,
+            text=True,
+            capture_output=True,
+            timeout=600,
+        )
     lines = [line.split() for line in ended.stdout.splitlines()]
     events = [line[1:] for line in lines if line[0] == "event"]
     final = [line[1:] for line in lines if line[0] == "final"]
     whole = np.array([line[:3] for line in events], dtype=int).reshape(-1, 3)
-    return Answer(whole, np.array([float(line[3]) for line in events]),
-                  np.array(final, dtype=float), 0.0, 0.0)
+    return Answer(
+        whole, np.array([float(line[3]) for line in events]), np.array(final, dtype=float), 0.0, 0.0
+    )
 
 
 def difference(one: Answer, other: Answer, name: str) -> tuple[float, float]:
@@ -100,8 +125,10 @@ def difference(one: Answer, other: Answer, name: str) -> tuple[float, float]:
         common = min(len(one.events), len(other.events))
         apart = np.flatnonzero((one.events[:common] != other.events[:common]).any(1))
         first = int(apart[0]) if apart.size else common
-        raise NotFrozenError(f"{name}: {len(one.events)} and {len(other.events)} events, which "
-                             f"differ from number {first} of t = {one.times[first - 1]}")
+        raise NotFrozenError(
+            f"{name}: {len(one.events)} and {len(other.events)} events, which "
+            f"differ from number {first} of t = {one.times[first - 1]}"
+        )
     return float(abs(one.times - other.times).max()), float(abs(one.final - other.final).max())
 
 
@@ -109,14 +136,17 @@ def settled(exact: Answer, differences: Differences, radius: float, name: str) -
     """Give the answer its tolerances; events must be further apart than that, or of one instant."""
     greatest = [max(values) for values in zip(*differences.values(), strict=True)]
     exact.tolerance, exact.final_tolerance = (
-        float(f"{max(MARGIN * value, LEAST * radius):.1e}") for value in greatest)
+        float(f"{max(MARGIN * value, LEAST * radius):.1e}") for value in greatest
+    )
     if max(exact.tolerance, exact.final_tolerance) > MOST * radius:
         raise NotFrozenError(f"{name}: rounding grows to {max(greatest):.1e}: shorten the run")
     gaps = np.diff(exact.times)
     near = gaps[(gaps > 1.0e-15) & (gaps < 2 * exact.tolerance)]
     if near.size:
-        raise NotFrozenError(f"{name}: events only {near.min():.1e} apart, {exact.tolerance:.1e} "
-                             "is the tolerance: take another seed")
+        raise NotFrozenError(
+            f"{name}: events only {near.min():.1e} apart, {exact.tolerance:.1e} "
+            "is the tolerance: take another seed"
+        )
     return exact
 
 
@@ -128,11 +158,13 @@ def freeze(case: Case) -> str:
     for name, engines in (("exact", case.engines), ("timestep", ("timestep",))):
         reference = "collision" if name == "exact" else name
         answer = of_precision(case, frozen.particles, reference)
-        differences = {engine: difference(answer, of_program(frozen, engine), engine)
-                       for engine in engines}
+        differences = {
+            engine: difference(answer, of_program(frozen, engine), engine) for engine in engines
+        }
         frozen.answers[name] = settled(answer, differences, case.table.radius, name)
-        seen = ", ".join(f"{engine} {times:.1e} {places:.1e}"
-                         for engine, (times, places) in differences.items())
+        seen = ", ".join(
+            f"{engine} {times:.1e} {places:.1e}" for engine, (times, places) in differences.items()
+        )
         answer.engines = engines
         notes[name] = f"{len(answer.events)} events of {reference} in real128; "
         notes[name] += f"times and places differ by: {seen}"
@@ -145,13 +177,19 @@ def numbers(case: Case, particles: str, answer: Answer, digits: str) -> list[str
     """Give a case as `battery_frozen_log` reads it: numbers alone, counts first."""
     table = case.table
     lengths = (table.radius, table.width1, table.length1, table.width2, table.length2)
-    lines = [f"{len(particles.splitlines())} {len(answer.events)} {case.threshold} "
-             f"{1 + (table.shape == 'urn')}",
-             f"{case.duration} {answer.tolerance:.1e} {answer.final_tolerance:.1e} "
-             f"{case.time_step}",
-             " ".join(map(str, lengths)), *particles.splitlines()]
-    lines += [f"{kind} {where} {particle} {time:{digits}}" for (kind, where, particle), time
-              in zip(answer.events.tolist(), answer.times.tolist(), strict=True)]
+    lines = [
+        f"{len(particles.splitlines())} {len(answer.events)} {case.threshold} "
+        f"{1 + (table.shape == 'urn')}",
+        f"{case.duration} {answer.tolerance:.1e} {answer.final_tolerance:.1e} {case.time_step}",
+        " ".join(map(str, lengths)),
+        *particles.splitlines(),
+    ]
+    lines += [
+        f"{kind} {where} {particle} {time:{digits}}"
+        for (kind, where, particle), time in zip(
+            answer.events.tolist(), answer.times.tolist(), strict=True
+        )
+    ]
     return lines + [" ".join(f"{value:{digits}}" for value in row) for row in answer.final.tolist()]
 
 
@@ -160,8 +198,10 @@ def frozen_reservoir(case: Case, particles: str) -> tuple[Answer, str]:
     answer = of_precision(case, particles, "reservoir")
     found = difference(answer, of_precision(case, particles, "reservoir", 64), "reservoir")
     settled(answer, {"reservoir": found}, case.table.radius, "reservoir")
-    return answer, (f"{len(answer.events)} events of reservoir in real128; times and places of "
-                    f"real64 differ by {found[0]:.1e} {found[1]:.1e}")
+    return answer, (
+        f"{len(answer.events)} events of reservoir in real128; times and places of "
+        f"real64 differ by {found[0]:.1e} {found[1]:.1e}"
+    )
 
 
 def freeze_stochastic(case: Case) -> str:
@@ -186,8 +226,10 @@ def freeze_own() -> str:
             else:
                 reference = "collision" if name == "exact" else name
                 answer = of_precision(case, frozen.particles, reference)
-                differences = {engine: difference(answer, of_program(frozen, engine), engine)
-                               for engine in engines}
+                differences = {
+                    engine: difference(answer, of_program(frozen, engine), engine)
+                    for engine in engines
+                }
                 settled(answer, differences, case.table.radius, name)
             # No closer than the digits that are kept.
             least = MARGIN * 10.0**-DIGITS
@@ -195,23 +237,31 @@ def freeze_own() -> str:
             answer.final_tolerance = max(answer.final_tolerance, least)
             logs[f"{name}_{case.name}"] = (
                 f"{case.about}: {len(answer.events)} events",
-                numbers(case, frozen.particles, answer, f".{DIGITS}f"))
+                numbers(case, frozen.particles, answer, f".{DIGITS}f"),
+            )
     OWN_LOGS.write_text(module_of(logs), encoding="utf-8")
     return ", ".join(f"{name}: {about}" for name, (about, _) in logs.items())
 
 
 def module_of(logs: dict[str, tuple[str, list[str]]]) -> str:
     """Write the logs as a Fortran module."""
-    lines = ["!> Frozen event logs that the program has in itself, in the format that",
-             "!> `battery_frozen_log` reads. `test/frozen/freeze.py own` makes this file from",
-             "!> runs in quadruple precision.", "module battery_frozen_logs",
-             "  implicit none (type, external)", "  private",
-             f"  public :: {', '.join(logs)}"]
+    lines = [
+        "!> Frozen event logs that the program has in itself, in the format that",
+        "!> `battery_frozen_log` reads. `test/frozen/freeze.py own` makes this file from",
+        "!> runs in quadruple precision.",
+        "module battery_frozen_logs",
+        "  implicit none (type, external)",
+        "  private",
+        f"  public :: {', '.join(logs)}",
+    ]
     for name, (about, rows) in logs.items():
         width = max(map(len, rows))
-        lines += ["", f"  !> {about[0].upper()}{about[1:]}.",
-                  f"  character(len={width}), parameter :: {name}({len(rows)}) = "
-                  f"[character(len={width}) :: &"]
+        lines += [
+            "",
+            f"  !> {about[0].upper()}{about[1:]}.",
+            f"  character(len={width}), parameter :: {name}({len(rows)}) = "
+            f"[character(len={width}) :: &",
+        ]
         lines += [f"    '{row}', &" for row in rows[:-1]] + [f"    '{rows[-1]}']"]
     return "\n".join([*lines, "", "end module battery_frozen_logs"]) + "\n"
 

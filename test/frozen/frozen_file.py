@@ -42,15 +42,27 @@ class Frozen:
 
 def write_frozen(path: Path, about: str, frozen: Frozen, notes: dict[str, str]) -> None:
     """Write a case; notes say what each answer was checked against."""
-    lines = [f"# {about}", "== namelist", frozen.namelist.rstrip(), "== particles",
-             frozen.particles.rstrip()]
+    lines = [
+        f"# {about}",
+        "== namelist",
+        frozen.namelist.rstrip(),
+        "== particles",
+        frozen.particles.rstrip(),
+    ]
     for name, answer in frozen.answers.items():
-        lines += [f"== {name}: events", f"# {notes[name]}",
-                  f"# engines {' '.join(answer.engines)}",
-                  f"# tolerance {answer.tolerance:.1e} {answer.final_tolerance:.1e}",
-                  "# kind where particle time"]
-        lines += [f"{kind} {where} {particle} {time:.15e}" for (kind, where, particle), time
-                  in zip(answer.events.tolist(), answer.times.tolist(), strict=True)]
+        lines += [
+            f"== {name}: events",
+            f"# {notes[name]}",
+            f"# engines {' '.join(answer.engines)}",
+            f"# tolerance {answer.tolerance:.1e} {answer.final_tolerance:.1e}",
+            "# kind where particle time",
+        ]
+        lines += [
+            f"{kind} {where} {particle} {time:.15e}"
+            for (kind, where, particle), time in zip(
+                answer.events.tolist(), answer.times.tolist(), strict=True
+            )
+        ]
         lines += [f"== {name}: final", "# x y ux uy"]
         lines += [" ".join(f"{value:.15e}" for value in row) for row in answer.final.tolist()]
     path.write_text("\n".join(lines) + "\n", encoding="utf-8")
@@ -70,7 +82,13 @@ def read_frozen(path: Path) -> Frozen:
         said = {line.split()[1]: line.split()[2:] for line in sections[title] if line[0] == "#"}
         table = np.loadtxt(sections[title], ndmin=2)
         final = np.loadtxt(sections[f"{name}: final"], ndmin=2)
-        answers[name] = Answer(table[:, :3].astype(int), table[:, 3], final,
-                               *map(float, said["tolerance"]), tuple(said["engines"]))
-    return Frozen("\n".join(sections["namelist"]) + "\n",
-                  "\n".join(sections["particles"]) + "\n", answers)
+        answers[name] = Answer(
+            table[:, :3].astype(int),
+            table[:, 3],
+            final,
+            *map(float, said["tolerance"]),
+            tuple(said["engines"]),
+        )
+    return Frozen(
+        "\n".join(sections["namelist"]) + "\n", "\n".join(sections["particles"]) + "\n", answers
+    )

@@ -22,22 +22,49 @@ from .mutation import Mutation, mutations, sources
 
 HERE = Path(__file__).resolve().parent
 #: Suites without MPI in which the physics and what is measured are met.
-SUITES = ["test_admit", "test_blocks", "test_calendar", "test_channel",
-          "test_collision", "test_disc", "test_excursion", "test_frozen", "test_gate",
-          "test_identities", "test_instant", "test_laws", "test_laws_statistics", "test_observer",
-          "test_opening_search",
-          "test_ordering", "test_polarised_current", "test_polygon", "test_polygon_engines",
-          "test_quantities", "test_queue", "test_random", "test_reservoir", "test_rotation",
-          "test_half_channel_visits", "test_scatterers", "test_simulation", "test_archive",
-          "test_table", "test_timestep", "test_tournament", "test_urn"]
+SUITES = [
+    "test_admit",
+    "test_blocks",
+    "test_calendar",
+    "test_channel",
+    "test_collision",
+    "test_disc",
+    "test_excursion",
+    "test_frozen",
+    "test_gate",
+    "test_identities",
+    "test_instant",
+    "test_laws",
+    "test_laws_statistics",
+    "test_observer",
+    "test_opening_search",
+    "test_ordering",
+    "test_polarised_current",
+    "test_polygon",
+    "test_polygon_engines",
+    "test_quantities",
+    "test_queue",
+    "test_random",
+    "test_reservoir",
+    "test_rotation",
+    "test_half_channel_visits",
+    "test_scatterers",
+    "test_simulation",
+    "test_archive",
+    "test_table",
+    "test_timestep",
+    "test_tournament",
+    "test_urn",
+]
 
 
 def listed(name: str) -> list[list[str]]:
     """Read a list of mutations: file, line, changed line, words; an empty line between two."""
     text = (HERE / name).read_text(encoding="utf-8")
-    parts = [[line.strip() for line in part.splitlines()
-              if line.strip() and not line.startswith("#")]
-             for part in text.split("\n\n")]
+    parts = [
+        [line.strip() for line in part.splitlines() if line.strip() and not line.startswith("#")]
+        for part in text.split("\n\n")
+    ]
     return [part for part in parts if part]
 
 
@@ -54,8 +81,10 @@ def found_again(home: str, line: str, changed: str) -> Mutation:
 def known_equivalent(mutation: Mutation) -> str:
     """Return why no test can tell a mutant from the program; empty if one should."""
     for home, line, changed, *why in listed("equivalent.txt"):
-        if mutation.file.startswith(home) and (line, changed) == (mutation.line.strip(),
-                                                                  mutation.changed.strip()):
+        if mutation.file.startswith(home) and (line, changed) == (
+            mutation.line.strip(),
+            mutation.changed.strip(),
+        ):
             return " ".join(why)
     return ""
 
@@ -115,8 +144,13 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=1, help="of the choice of mutations")
     parser.add_argument("--count", type=int, default=60, help="how many are drawn")
     parser.add_argument("--lines", metavar="FILE:LINE", help="all mutations of a line or a file")
-    parser.add_argument("--chosen", nargs="?", const="", metavar="WORD",
-                        help="the mutations of lines.txt, in files with this word in their name")
+    parser.add_argument(
+        "--chosen",
+        nargs="?",
+        const="",
+        metavar="WORD",
+        help="the mutations of lines.txt, in files with this word in their name",
+    )
     arguments = parser.parse_args()
     bench = Bench(SUITES)
     if arguments.chosen is None:
@@ -124,9 +158,11 @@ def main() -> int:
     else:
         trials = try_chosen(bench, arguments.chosen)
     counts = Counter(trial.verdict for trial in trials)
-    print(f"{counts['killed']} killed, {counts['survived']} survived, "
-          f"{counts['equivalent']} equivalent, {counts['does not build']} do not build, "
-          f"{counts['gone']} gone")
+    print(
+        f"{counts['killed']} killed, {counts['survived']} survived, "
+        f"{counts['equivalent']} equivalent, {counts['does not build']} do not build, "
+        f"{counts['gone']} gone"
+    )
     return 1 if counts["survived"] + counts["gone"] else 0
 
 

@@ -66,14 +66,16 @@ class Bench:
 
     def __init__(self, names: list[str]) -> None:
         self.runner = load_runner()
-        self.flags = (self.runner.FLAGS["debug"] + " "
-                      + self.runner.package_config("--cflags-only-I"))
+        self.flags = (
+            self.runner.FLAGS["debug"] + " " + self.runner.package_config("--cflags-only-I")
+        )
         self.libraries = self.runner.package_config("--libs-only-L")
         package = FOLDER / "package"
         files = [ROOT / f"test/{name}.pf" for name in names]
         suites = self.runner.write_package(package, files, None)
         program = self.runner.build(
-            package, self.flags, self.libraries, self.runner.COMPILER, verbose=False)
+            package, self.flags, self.libraries, self.runner.COMPILER, verbose=False
+        )
         self.objects = newest(package.glob("build/*/battery_tests/suites_*.o"))
         self.archives = newest(package.glob("build/*/*/lib*.a"))
         self.modules = newest(package.glob("build/*/battery_table.mod"))[0].parent
@@ -102,15 +104,37 @@ class Bench:
         compiled = folder / "mutant.o"
         # A mutant may well leave a variable unused.
         common = ["mpifort", *shlex.split(self.flags.replace("-Werror", ""))]
-        compile_it = [*common, "-fimplicit-none", "-ffree-form", f"-I{self.modules}",
-                      f"-J{folder}", "-c", str(source), "-o", str(compiled)]
+        compile_it = [
+            *common,
+            "-fimplicit-none",
+            "-ffree-form",
+            f"-I{self.modules}",
+            f"-J{folder}",
+            "-c",
+            str(source),
+            "-o",
+            str(compiled),
+        ]
         # What the object defines is not looked for in the archives.
-        link_it = [*common, *map(str, self.objects), str(compiled), *map(str, self.archives),
-                   *shlex.split(self.libraries), "-lhdf5_hl", "-lhdf5_fortran",
-                   "-lhdf5", "-lcrypto", "-lgsl", "-lgslcblas",
-                   "-o", str(folder / self.runner.PROGRAM)]
-        return all(subprocess.run(command, capture_output=True, check=False).returncode == 0
-                   for command in (compile_it, link_it))
+        link_it = [
+            *common,
+            *map(str, self.objects),
+            str(compiled),
+            *map(str, self.archives),
+            *shlex.split(self.libraries),
+            "-lhdf5_hl",
+            "-lhdf5_fortran",
+            "-lhdf5",
+            "-lcrypto",
+            "-lgsl",
+            "-lgslcblas",
+            "-o",
+            str(folder / self.runner.PROGRAM),
+        ]
+        return all(
+            subprocess.run(command, capture_output=True, check=False).returncode == 0
+            for command in (compile_it, link_it)
+        )
 
     def attempt(self, mutation: Mutation, only: str = "", *, every: bool = False) -> Trial:
         """Try one mutant, until a suite turns red.

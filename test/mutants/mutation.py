@@ -17,17 +17,30 @@ LAYERS = ("table", "gate", "events", "engine", "observe")
 
 #: What may stand in place of what; words are whole words of code, outside of texts and comments.
 SWAPS = [
-    (r"(?<= )\+(?= )", "-"), (r"(?<= )-(?= )", "+"), (r"(?<=[(=,] )-(?=\w)|(?<=\()-(?=\w)", ""),
-    (r"(?<= )<(?= )", "<="), (r"(?<= )<=(?= )", "<"),
-    (r"(?<= )>(?= )", ">="), (r"(?<= )>=(?= )", ">"),
-    (r"(?<= )==(?= )", "/="), (r"(?<= )/=(?= )", "=="),
-    (r"\.and\.", ".or."), (r"\.or\.", ".and."), (r"\.not\. ", ""),
-    (r"\.true\.", ".false."), (r"\.false\.", ".true."),
-    (r"\bmin(?=\()", "max"), (r"\bmax(?=\()", "min"),
-    (r"\bchannel1\b", "channel2"), (r"\bchannel2\b", "channel1"),
-    (r"\bin_gate\b", "in_channel2"), (r"\bin_channel2\b", "in_gate"),
-    (r"(?<![\w.])1(?![\w.])", "2"), (r"(?<![\w.])2(?![\w.])", "1"),
-    (r"(?<![\w.])0\.5(?=_wp)", "0.25"), (r"(?<![\w.])0\.25(?=_wp)", "0.5"),
+    (r"(?<= )\+(?= )", "-"),
+    (r"(?<= )-(?= )", "+"),
+    (r"(?<=[(=,] )-(?=\w)|(?<=\()-(?=\w)", ""),
+    (r"(?<= )<(?= )", "<="),
+    (r"(?<= )<=(?= )", "<"),
+    (r"(?<= )>(?= )", ">="),
+    (r"(?<= )>=(?= )", ">"),
+    (r"(?<= )==(?= )", "/="),
+    (r"(?<= )/=(?= )", "=="),
+    (r"\.and\.", ".or."),
+    (r"\.or\.", ".and."),
+    (r"\.not\. ", ""),
+    (r"\.true\.", ".false."),
+    (r"\.false\.", ".true."),
+    (r"\bmin(?=\()", "max"),
+    (r"\bmax(?=\()", "min"),
+    (r"\bchannel1\b", "channel2"),
+    (r"\bchannel2\b", "channel1"),
+    (r"\bin_gate\b", "in_channel2"),
+    (r"\bin_channel2\b", "in_gate"),
+    (r"(?<![\w.])1(?![\w.])", "2"),
+    (r"(?<![\w.])2(?![\w.])", "1"),
+    (r"(?<![\w.])0\.5(?=_wp)", "0.25"),
+    (r"(?<![\w.])0\.25(?=_wp)", "0.5"),
     (r"(?<![\w.])2\.0(?=_wp)", "1.0"),
     # The kind alone counts in huge(1.0_wp) and its like.
     (r"(?<![\w.])(?<!huge\()(?<!tiny\()(?<!epsilon\()1\.0(?=_wp)", "0.5"),
@@ -72,8 +85,11 @@ def statements(path: Path) -> Iterator[tuple[int, str]]:
     within = False
     for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(), 1):
         code = code_of(line).strip()
-        if not within and (re.match(r"(pure |elemental |recursive )*(subroutine|function)\b", code)
-                           or "::" in code or code.startswith(("use ", "end ", "type("))):
+        if not within and (
+            re.match(r"(pure |elemental |recursive )*(subroutine|function)\b", code)
+            or "::" in code
+            or code.startswith(("use ", "end ", "type("))
+        ):
             skipped = True
         elif not within:
             skipped = False
@@ -94,5 +110,9 @@ def mutations_of(line: str) -> Iterator[str]:
 def mutations(path: Path, only: int | None = None) -> list[Mutation]:
     """List all mutations of a file, or of one of its lines."""
     file = str(path.relative_to(ROOT))
-    return [Mutation(file, number, line, changed) for number, line in statements(path)
-            if only in (None, number) for changed in mutations_of(line)]
+    return [
+        Mutation(file, number, line, changed)
+        for number, line in statements(path)
+        if only in (None, number)
+        for changed in mutations_of(line)
+    ]

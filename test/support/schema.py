@@ -95,14 +95,23 @@ def namelists(schema: Json) -> SearchStrategy[str]:
         strategies.sampled_from([*groups, "outputs"]),
         names.flatmap(lambda key: strategies.sampled_from([key[1], key[1] + "s", key[1][1:]])),
     )
-    numbers = strategies.sampled_from(NUMBERS) | strategies.integers(0, 2**31) \
+    numbers = (
+        strategies.sampled_from(NUMBERS)
+        | strategies.integers(0, 2**31)
         | strategies.floats(0.0, 1e6, allow_subnormal=False)
-    value = numbers | strategies.sampled_from(TEXTS) | strategies.booleans() \
-        | strategies.lists(numbers, min_size=1, max_size=4) | strategies.sampled_from(LISTS)
+    )
+    value = (
+        numbers
+        | strategies.sampled_from(TEXTS)
+        | strategies.booleans()
+        | strategies.lists(numbers, min_size=1, max_size=4)
+        | strategies.sampled_from(LISTS)
+    )
     right = names.flatmap(lambda key: strategies.tuples(strategies.just(key), fitting(kinds[key])))
     wrong = strategies.tuples(names | other, value)
-    changes = strategies.lists(right, min_size=1, max_size=2) \
-        | strategies.lists(wrong, min_size=1, max_size=1)
+    changes = strategies.lists(right, min_size=1, max_size=2) | strategies.lists(
+        wrong, min_size=1, max_size=1
+    )
 
     def text(base: str, changes: list[tuple[tuple[str, str], Any]]) -> str:
         case = read(base) or {}

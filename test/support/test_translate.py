@@ -23,14 +23,18 @@ from translate import (  # noqa: E402
 from postproc.launcher import LAUNCHER  # noqa: E402
 
 SERIAL_SOURCES = ("exceptions", "assert_numbers", "funit")
-STRICT = "-O1 -g -std=f2018 -Wall -Wextra -Werror -Werror=implicit-interface -fcheck=all " \
+STRICT = (
+    "-O1 -g -std=f2018 -Wall -Wextra -Werror -Werror=implicit-interface -fcheck=all "
     "-finit-real=snan -ffpe-trap=invalid,zero,overflow"
+)
 
 
 def module(body: str, library: str = "funit", name: str = "test_sample") -> str:
     """Give a test module with these procedures."""
-    return f"module {name}\n  use {library}\n  implicit none (type, external)\ncontains\n{body}\n" \
+    return (
+        f"module {name}\n  use {library}\n  implicit none (type, external)\ncontains\n{body}\n"
         f"end module {name}\n"
+    )
 
 
 def plain_test(name: str, *statements: str) -> str:
@@ -42,8 +46,10 @@ def plain_test(name: str, *statements: str) -> str:
 def mpi_test(name: str, npes: str, *statements: str) -> str:
     """Give one test with MPI."""
     inner = "\n".join(f"    {statement}" for statement in statements)
-    return f"  @test(npes={npes})\n  subroutine {name}(this)\n" \
+    return (
+        f"  @test(npes={npes})\n  subroutine {name}(this)\n"
         f"    class(MpiTestMethod), intent(inout) :: this\n{inner}\n  end subroutine {name}"
+    )
 
 
 def line_of(text: str, wanted: str) -> int:
@@ -57,8 +63,9 @@ def libraries(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("standin")
     for name in (*SERIAL_SOURCES, "pfunit"):
         compiler = compiler_of(parallel=True)
-        subprocess.run([compiler, *STRICT.split(), "-c", str(SUPPORT / f"{name}.f90")],
-                       cwd=folder, check=True)
+        subprocess.run(
+            [compiler, *STRICT.split(), "-c", str(SUPPORT / f"{name}.f90")], cwd=folder, check=True
+        )
     return folder
 
 
@@ -77,7 +84,8 @@ def run(
     fortran, suite = translate(text, "test_sample.pf")
     (folder / "test_sample.f90").write_text(fortran)
     (folder / "driver.f90").write_text(
-        driver("run_tests", [suite.module], parallel=bool(processes)))
+        driver("run_tests", [suite.module], parallel=bool(processes))
+    )
     objects = [str(libraries / f"{name}.o") for name in SERIAL_SOURCES]
     if processes:
         objects.append(str(libraries / "pfunit.o"))
@@ -87,8 +95,15 @@ def run(
     if processes:
         command = ["mpirun", "-n", str(processes), *command]
     environment = {**os.environ, **LAUNCHER}
-    return subprocess.run(command, env=environment, text=True, check=False, timeout=60,
-                          stdout=subprocess.PIPE, stderr=subprocess.STDOUT)
+    return subprocess.run(
+        command,
+        env=environment,
+        text=True,
+        check=False,
+        timeout=60,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+    )
 
 
 def test_assert_knows_its_line() -> None:
@@ -161,10 +176,18 @@ def test_arguments_split_only_between_brackets() -> None:
 
 
 def test_passing_tests_exit_0(libraries: Path, tmp_path: Path) -> None:
-    text = module(plain_test(
-        "one", "real :: numbers(2)", "numbers = [1.0, 2.0]",
-        "@assertEqual([1.0, 2.5], numbers, tolerance=0.5)", "@assertEqual('a', ' a ')",
-        "@assertLessThan(1, 2)", "@assertLessThan(1.0d0, 2.0d0)", "@assertFalse(.false.)"))
+    text = module(
+        plain_test(
+            "one",
+            "real :: numbers(2)",
+            "numbers = [1.0, 2.0]",
+            "@assertEqual([1.0, 2.5], numbers, tolerance=0.5)",
+            "@assertEqual('a', ' a ')",
+            "@assertLessThan(1, 2)",
+            "@assertLessThan(1.0d0, 2.0d0)",
+            "@assertFalse(.false.)",
+        )
+    )
     done = run(text, libraries, tmp_path)
     assert done.returncode == 0, done.stdout
     assert "Tests run: 1, Failures: 0" in done.stdout
@@ -172,13 +195,18 @@ def test_passing_tests_exit_0(libraries: Path, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     "assertion",
-    ["@assertEqual(1.0, 1.5, tolerance=0.25)", "@assertEqual(1, 2)", "@assertEqual([1, 2], [1, 3])",
-     "@assertEqual([1, 2], [1])", "@assertEqual('a', 'b')", "@assertTrue(.false.)",
-     "@assertLessThan(2, 2)", "@assertLessThan(2.0, 2.0)"],
+    [
+        "@assertEqual(1.0, 1.5, tolerance=0.25)",
+        "@assertEqual(1, 2)",
+        "@assertEqual([1, 2], [1, 3])",
+        "@assertEqual([1, 2], [1])",
+        "@assertEqual('a', 'b')",
+        "@assertTrue(.false.)",
+        "@assertLessThan(2, 2)",
+        "@assertLessThan(2.0, 2.0)",
+    ],
 )
-def test_failing_assert_fails_the_program(
-    assertion: str, libraries: Path, tmp_path: Path
-) -> None:
+def test_failing_assert_fails_the_program(assertion: str, libraries: Path, tmp_path: Path) -> None:
     text = module(plain_test("one", assertion, "error stop 'went on'"))
     done = run(text, libraries, tmp_path)
     assert done.returncode == 2, done.stdout
@@ -199,8 +227,12 @@ def test_nan_equals_nothing_and_is_not_less(
 
 
 def test_processes_of_a_test_are_its_own(libraries: Path, tmp_path: Path) -> None:
-    text = module(mpi_test("sizes", "[1, 2]", "@assertLessThan(this%getProcessRank(), "
-                           "this%getNumProcesses())"), "pfunit")
+    text = module(
+        mpi_test(
+            "sizes", "[1, 2]", "@assertLessThan(this%getProcessRank(), this%getNumProcesses())"
+        ),
+        "pfunit",
+    )
     done = run(text, libraries, tmp_path, processes=2)
     assert done.returncode == 0, done.stdout
     assert "<test_sample_suite.sizes[npes=1]>" in done.stdout
@@ -208,8 +240,12 @@ def test_processes_of_a_test_are_its_own(libraries: Path, tmp_path: Path) -> Non
 
 
 def test_failure_of_any_process_is_reported_once(libraries: Path, tmp_path: Path) -> None:
-    text = module(mpi_test("both", "[2]", "@assertEqual(1, this%getNumProcesses())") + "\n"
-                  + mpi_test("second", "[2]", "@assertEqual(0, this%getProcessRank())"), "pfunit")
+    text = module(
+        mpi_test("both", "[2]", "@assertEqual(1, this%getNumProcesses())")
+        + "\n"
+        + mpi_test("second", "[2]", "@assertEqual(0, this%getProcessRank())"),
+        "pfunit",
+    )
     done = run(text, libraries, tmp_path, processes=2)
     assert done.returncode == 2, done.stdout
     assert done.stdout.count("[test_sample.pf:") == 2
