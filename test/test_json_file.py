@@ -46,9 +46,9 @@ def contents(folder: Path) -> dict[Path, bytes]:
 @pytest.mark.parametrize(
     "name",
     [
-        "case.nml", "start.txt", "other.nml", "other.h5", "hard link", "table.json",
-        "lines.json",  # up to here they exist
-        "case.h5", "./case.h5", "part/../case.h5", "link",
+        "case.nml", "start.txt", "other.nml", "other.h5", "hard link",  # they exist
+        "table.json", "lines.json",
+        "case.h5", "./case.h5", "part/../case.h5", "link",  # these do not yet
         "case.h5.part", "case.h5.owner", "case.h5.tasks", "part", "no folder/new.json",
     ],
 )  # fmt: skip

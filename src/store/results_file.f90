@@ -105,8 +105,8 @@ contains
   end subroutine publish_temporary
 
   !> Gives a results file that lacks a footer a new one, if all in it can be read, its structure and
-  !> its seeds are those that follow from its namelist, and it says of its tasks what it has of them.
-  !> A copy with a footer replaces it.
+  !> its seeds are those that follow from its namelist, and it says of its tasks what it has of
+  !> them. A copy with a footer replaces it.
   subroutine accept_results(name, status, before, results, error)
     !> Path of the file, and its attribute `status`.
     character(len=*), intent(in) :: name, status
