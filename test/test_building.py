@@ -124,7 +124,7 @@ def test_what_does_not_work_is_forgotten(tmp_path: Path) -> None:
 
 @pytest.mark.full
 def test_the_product_does_without_studies(tmp_path: Path) -> None:
-    """In a copy without that folder the demo runs, the pages are made, and tests are found and pass.
+    """In a copy without that folder the demo runs, pages are made, tests are found and pass.
 
     Only those that read pages and the tree run: all of `make test` once more would double its time,
     and a test that imports or names a study fails as it is collected, or in `test_layers`.
