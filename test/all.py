@@ -10,6 +10,7 @@ from __future__ import annotations
 import argparse
 import os
 import re
+import signal
 import subprocess
 import sys
 import time
@@ -144,6 +145,8 @@ def count(word: str, line: str) -> int:
 
 def main() -> int:
     """Run all parts; give 1 if anything failed."""
+    # nohup ignores it, and so would all programs that the tests start.
+    signal.signal(signal.SIGHUP, signal.SIG_DFL)
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n", 1)[0])
     parser.add_argument("--release", required=True, help="switches of the release build")
     parser.add_argument("--debug", required=True, help="switches of the debug build")

@@ -30,6 +30,9 @@ module battery_polygon_passages
   real(wp), parameter :: least_part = 16.0_wp
   integer, parameter :: most_part_hits = 1000000
 
+  !> Cosine of the angle to the normal up to which a path runs along a side.
+  real(wp), parameter :: grazing = sqrt(epsilon(1.0_wp))
+
 contains
 
   !> Computes the passages of a batch of visits through the polygon; input and output are explained
@@ -189,6 +192,9 @@ contains
   !> As `find_only_side`, in any polygon: finds the nearest of the sides that a path leaves through.
   !> If the path enters through another one before, rounding in a corner has put the particle
   !> outside: no side is found, or it would cross what lies between two parts of the urn.
+  !> Where it runs along that side, the time of the hit is a quotient of rounding errors, and the
+  !> particle could pass the corner at the end of the side: no side is found either, and
+  !> `continue_alone` bounds the time by the corners.
   pure subroutine find_nearest_side(sides, corner, side, tolerance, n, px, py, ux, uy, normal_x, &
     normal_y, offset, half_opening)
     integer, intent(in) :: sides, n
@@ -233,7 +239,8 @@ contains
       end do
     end do
     do j = 1, n
-      met = merge(1.0_wp, 0.0_wp, enters(j) >= soonest(j) - tolerance)
+      met = merge(1.0_wp, 0.0_wp, enters(j) >= soonest(j) - tolerance .and. normal_x(j)*ux(j) &
+        + normal_y(j)*uy(j) > grazing)
       normal_x(j) = met*normal_x(j)
       normal_y(j) = met*normal_y(j)
     end do
@@ -519,6 +526,7 @@ contains
     if (.not. polygon%convex .and. enters < soonest - polygon%tolerance) next = 0
     if (next == 0) return
     outward = polygon%normal_x(next)*ux + polygon%normal_y(next)*uy
+    if (.not. polygon%convex .and. .not. outward > grazing) return
     if (.not. outward > 0.0_wp) return
     wait = max((polygon%offset(next) - polygon%normal_x(next)*x - polygon%normal_y(next)*y) &
       /max(outward, slowest), 0.0_wp)
