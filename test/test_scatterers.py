@@ -171,6 +171,33 @@ def test_they_are_in_the_file_and_make_another_task(tmp_path: Path) -> None:
         assert file["seed"][()].item() != seed
 
 
+def test_a_path_through_corners_has_no_jump(tmp_path: Path) -> None:
+    """From one picture to the next a particle goes no further than its speed allows.
+
+    Starts on a lattice, along the axes, hit corners of a notched urn exactly; its slanted sides
+    round what follows. One gate reverses, the other does not.
+    """
+    step = 1.0 / 16.0
+    corners = "-1, -1, 1, -1, 1, 1, 0.25, 1, 0, 0.5, -0.25, 1, -1, 1"
+    table = {"urn_shape": "'polygon'", "urn_vertices": corners, "channel1_width": "1",
+             "channel2_width": "0.5", "scatterers": "0.0625, 0.03125, 0.0625"}  # fmt: skip
+    starts = [f"{side * (1.5 + 0.125 * k)} {y} {u} 0" for k in range(-7, 8) if k
+              for side, y, u in [(-1, 0.5, -1), (1, 0.5, 1), (-1, 0.625, 1)]]  # fmt: skip
+    (tmp_path / "starts.txt").write_text("\n".join(starts))
+    times = ", ".join(repr(step * k) for k in range(97))
+    text = write(
+        tmp_path, "a", table,
+        particles={"number": str(len(starts)), "initial_file": "'starts.txt'"},
+        gate={"threshold": "1, 50"}, run={"duration": "13"}, output={"snapshot_times": times},
+    )  # fmt: skip
+    assert run("--quiet", text, folder=tmp_path).returncode == 0
+    with h5py.File(tmp_path / "a.h5") as file:
+        x, y = (file[f"snapshots/{name}"][0, 0] for name in "xy")
+    along, across = np.diff(x, axis=0), np.diff(y, axis=0)
+    within = np.abs(along) < 2.0  # not over the periodic line
+    assert (np.hypot(along, across)[within] <= step * (1.0 + 1e-9)).all()
+
+
 @pytest.mark.parametrize("engine", ["excursion", "collision"])
 def test_who_never_leaves_does_not_hang_the_run(tmp_path: Path, engine: str) -> None:
     """Over the counted line between two discs, a billion times a time unit: until time is up."""

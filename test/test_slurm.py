@@ -36,10 +36,17 @@ EXAMPLES = ["slurm.sh", "slurm_mpirun.sh"]
 
 
 @pytest.fixture(scope="module")
-def slurm(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Slurm]:
+def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Slurm]:
     """Start the cluster once."""
-    with Slurm(tmp_path_factory.mktemp("s"), [tmp_path_factory.getbasetemp(), ROOT]) as cluster:
-        yield cluster
+    with Slurm(tmp_path_factory.mktemp("s"), [tmp_path_factory.getbasetemp(), ROOT]) as slurm:
+        yield slurm
+
+
+@pytest.fixture
+def slurm(cluster: Slurm) -> Iterator[Slurm]:
+    """Give the cluster; a test that fails leaves nothing to the next."""
+    yield cluster
+    release(cluster)
 
 
 def built(mpi: str) -> Path:
@@ -127,20 +134,59 @@ def wait_for(condition: Callable[[], bool], folder: Path) -> None:
 
 
 def halted(folder: Path, *names: str) -> list[int]:
-    """Stop both ranks of each run that has saved a state; give their process numbers."""
+    """Stop both ranks of each run that has saved a state; give their process numbers.
+
+    None if a run was too fast for that, so that all its tasks are complete.
+    """
     found: set[int] = set()
 
-    def all_stand_still() -> bool:
-        begun = [name for name in names if any((folder / f"{name}.h5.tasks").glob("task_*"))]
+    def begun(name: str) -> bool:
+        return any((folder / f"{name}.h5.tasks").glob("task_*"))
+
+    def is_over(name: str) -> bool:
+        return (folder / f"{name}.h5").exists()
+
+    def all_stand_still_or_one_is_over() -> bool:
+        there = [name for name in names if begun(name)]
         for one in filter(program.is_program, program.descendants(os.getpid())):
             words = command_line(one)
-            if words.startswith(f"{folder} ") and any(f"/{name}.nml" in words for name in begun):
+            if words.startswith(f"{folder} ") and any(f"/{name}.nml" in words for name in there):
                 found.add(one)
         program.send(list(found), signal.SIGSTOP)
-        return len(found) == 2 * len(names) and all(state(one) == "T" for one in found)
+        still = len(found) == 2 * len(names) and all(state(one) == "T" for one in found)
+        return still or any(map(is_over, names))
 
-    wait_for(all_stand_still, folder)
-    return list(found)
+    wait_for(all_stand_still_or_one_is_over, folder)
+    return list(found) if all(begun(name) and not is_over(name) for name in names) else []
+
+
+def start_and_halt(
+    slurm: Slurm,
+    place: Path,
+    mpi: str,
+    script: str,
+    *options: str,
+    names: tuple[str, ...] = ("phase_diagram",),
+) -> tuple[Path, str, list[int]]:
+    """Submit an example in a new folder and halt its runs in their midst.
+
+    On a busy machine a run may be over before it is seen; then longer ones are submitted.
+    """  # fmt: skip
+    for collisions in (SHORT, 10 * SHORT, 100 * SHORT):
+        folder = checkout(place / str(collisions), mpi, collisions)
+        job = submitted(slurm, script, folder, *options)
+        if ranks := halted(folder, *names):
+            return folder, job, ranks
+        release(slurm)
+    pytest.fail(f"{script}: over before it could be halted\n{log(folder)}")
+
+
+def release(slurm: Slurm) -> None:
+    """Cancel all jobs, and let every rank go on, so that nothing holds the nodes."""
+    slurm.ask("scancel", "--user=root")
+    ranks = [one for one in program.descendants(os.getpid()) if program.is_program(one)]
+    program.send(ranks, signal.SIGCONT)
+    slurm.wait_until_idle()
 
 
 def go_on(ranks: list[int], folder: Path) -> None:
@@ -174,12 +220,12 @@ def test_a_time_limit_is_no_end(slurm: Slurm, tmp_path: Path) -> None:
 
     Slurm looks every half minute which jobs are near their limits.
     """
-    folders = {one: checkout(tmp_path / one, "openmpi", SHORT) for one in EXAMPLES}
-    jobs, ranks = {}, {}
-    for script, folder in folders.items():
+    folders, jobs, ranks = {}, {}, {}
+    for script in EXAMPLES:
         to = "B:" if "mpirun" in script else ""
-        jobs[script] = submitted(slurm, script, folder, f"--signal={to}USR1@50")
-        ranks[script] = halted(folder, "phase_diagram")
+        folders[script], jobs[script], ranks[script] = start_and_halt(
+            slurm, tmp_path / script, "openmpi", script, f"--signal={to}USR1@50"
+        )
 
     def limit(script: str, minutes: int) -> None:
         slurm.ask("scontrol", "update", f"JobId={jobs[script]}", f"TimeLimit={minutes}")
@@ -200,9 +246,7 @@ def test_a_job_that_is_told_to_stop_goes_on(
     slurm: Slurm, tmp_path: Path, script: str, mpi: str
 ) -> None:
     """The signal, sent by hand, to whom each example has it sent."""
-    folder = checkout(tmp_path, mpi, SHORT)
-    job = submitted(slurm, script, folder)
-    ranks = halted(folder, "phase_diagram")
+    folder, job, ranks = start_and_halt(slurm, tmp_path, mpi, script)
     slurm.ask("scancel", *(["--batch"] if "mpirun" in script else []), "--signal=USR1", job)
     go_on(ranks, folder)
     assert_ended_well(slurm, job, folder, "phase_diagram")
@@ -211,9 +255,9 @@ def test_a_job_that_is_told_to_stop_goes_on(
 @pytest.mark.parametrize("mpi", MPI)
 def test_an_element_of_an_array_goes_on_alone(slurm: Slurm, tmp_path: Path, mpi: str) -> None:
     """The last element's job has the array's number; one that was complete before stays so."""
-    folder = checkout(tmp_path, mpi, SHORT)
-    job = submitted(slurm, "slurm_array.sh", folder, "--array=0-1")
-    ranks = halted(folder, "a", "b")
+    folder, job, ranks = start_and_halt(
+        slurm, tmp_path, mpi, "slurm_array.sh", "--array=0-1", names=("a", "b")
+    )
     of_the_last = [one for one in ranks if "/b.nml" in command_line(one)]
     program.send([one for one in ranks if one not in of_the_last], signal.SIGCONT)
     assert_ended_well(slurm, f"{job}_0", folder, "a", again=False)
@@ -229,13 +273,11 @@ def test_a_cancelled_job_goes_on_when_it_is_submitted_again(
     slurm: Slurm, tmp_path: Path, script: str
 ) -> None:
     """Scancel saves the states under srun; the output is free for the next job in any case."""
-    folder = checkout(tmp_path, "openmpi", SHORT)
-    job = submitted(slurm, script, folder)
-    ranks = halted(folder, "phase_diagram")
+    folder, job, ranks = start_and_halt(slurm, tmp_path, "openmpi", script)
     slurm.ask("scancel", job)
     go_on(ranks, folder)
     assert slurm.end_of(job, PATIENCE)["JobState"] == "CANCELLED"
-    wait_for(lambda: slurm.state_of_nodes() == "idle", folder)
+    slurm.wait_until_idle()
     if "mpirun" not in script:
         assert list((folder / "phase_diagram.h5.tasks").glob("task_*")), log(folder)
     assert_ended_well(slurm, submitted(slurm, script, folder), folder, "phase_diagram", again=False)

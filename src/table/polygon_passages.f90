@@ -54,8 +54,8 @@ contains
       n = group_size*((active + group_size - 1)/group_size)
       ! Padding lanes of the last group: visits that have ended.
       visits%c(active + 1:n) = 0.0_wp
-      call step_hits(polygon, size(side, 2), corner, side, n, visits%px, visits%py, visits%zx, &
-        visits%zy, visits%steps, visits%first, visits%c)
+      call step_hits(polygon, march_hits, size(side, 2), corner, side, n, visits%px, visits%py, &
+        visits%zx, visits%zy, visits%steps, visits%first, visits%c)
       call compact_active(polygon, active, visits)
     end do
     do j = 1, active
@@ -86,10 +86,11 @@ contains
     end do
   end subroutine load_visits
 
-  !> Moves each particle that has not left through `march_hits` hits.
-  pure subroutine step_hits(polygon, sides, corner, side, n, px, py, ux, uy, hits, length, flies)
+  !> Moves each particle that has not left through `most_hits` hits.
+  pure subroutine step_hits(polygon, most_hits, sides, corner, side, n, px, py, ux, uy, hits, &
+    length, flies)
     type(polygon_type), intent(in) :: polygon
-    integer, intent(in) :: sides, n
+    integer, intent(in) :: most_hits, sides, n
     !> As `list_sides` makes them.
     real(wp), intent(in) :: corner(2, 0:sides), side(4, sides)
     real(wp), intent(inout) :: px(n), py(n), ux(n), uy(n), hits(n), length(n)
@@ -103,7 +104,7 @@ contains
     do first = 1, n, lanes
       last = min(first + lanes - 1, n)
       count = last - first + 1
-      do hit = 1, march_hits
+      do hit = 1, most_hits
         if (polygon%convex) then
           call find_only_side(sides, corner, side, half_openings(channel1), &
             half_openings(channel2), count, px(first), py(first), ux(first), uy(first), normal_x, &
@@ -469,19 +470,18 @@ contains
     call list_sides(polygon, size(side, 2), corner, side)
     do round = 1, most_marches
       before = lane
-      call step_hits(polygon, size(side, 2), corner, side, group_size, lane(:, 1), lane(:, 2), &
-        lane(:, 3), lane(:, 4), lane(:, 5), lane(:, 6), lane(:, 7))
+      call step_hits(polygon, march_hits, size(side, 2), corner, side, group_size, lane(:, 1), &
+        lane(:, 2), lane(:, 3), lane(:, 4), lane(:, 5), lane(:, 6), lane(:, 7))
       if (lane(1, 6) >= elapsed .or. .not. lane(1, 7) > 0.0_wp) exit
     end do
     if (lane(1, 6) >= elapsed) then
-      lane(1, :) = before(1, :)
-      do hit = 1, march_hits
-        call step_one(polygon, lane(1, 1), lane(1, 2), lane(1, 3), lane(1, 4), lane(1, 5), &
-          lane(1, 6), lane(1, 7))
-        if (lane(1, 6) >= elapsed .or. .not. lane(1, 7) > 0.0_wp) exit
-        before(1, :) = lane(1, :)
+      ! By the same call with fewer hits, since other code would round otherwise.
+      do hit = march_hits - 1, 0, -1
+        lane = before
+        call step_hits(polygon, hit, size(side, 2), corner, side, group_size, lane(:, 1), &
+          lane(:, 2), lane(:, 3), lane(:, 4), lane(:, 5), lane(:, 6), lane(:, 7))
+        if (lane(1, 6) < elapsed) exit
       end do
-      lane(1, :) = before(1, :)
       lane(1, 1:2) = lane(1, 1:2) + lane(1, 3:4)*(elapsed - lane(1, 6))
     else if (lane(1, 7) > 0.0_wp) then
       call continue_alone(polygon, elapsed, lane(1, 1), lane(1, 2), lane(1, 3), lane(1, 4), &
@@ -491,57 +491,6 @@ contains
     velocity = lane(1, 3:4)
     hits = int(lane(1, 5), int64)
   end subroutine follow_polygon_passage
-
-  !> Moves one particle through one hit, by the operations of `step_hits`: it is a copy of them for
-  !> a single lane, since a second call of its parts would make the kernel slower by 1 %.
-  pure subroutine step_one(polygon, x, y, ux, uy, hits, length, flies)
-    type(polygon_type), intent(in) :: polygon
-    real(wp), intent(inout) :: x, y, ux, uy, hits, length, flies
-    real(wp) :: ahead, was, after, outward, time, soonest, enters, wait, kick
-    integer :: k, met, next
-
-    ahead = ux*y - uy*x
-    after = ux*polygon%y(1) - uy*polygon%x(1) - ahead
-    soonest = 1.0_wp/slowest
-    enters = soonest
-    met = 0
-    next = 0
-    do k = 1, polygon%sides
-      was = after
-      after = ux*polygon%y(k + 1) - uy*polygon%x(k + 1) - ahead
-      outward = polygon%normal_x(k)*ux + polygon%normal_y(k)*uy
-      time = (polygon%offset(k) - polygon%normal_x(k)*x - polygon%normal_y(k)*y) &
-        /sign(max(abs(outward), slowest), outward)
-      if (was >= 0.0_wp .and. after < 0.0_wp .and. time > polygon%tolerance) enters = min(enters, &
-        time)
-      if (was >= 0.0_wp .or. after < 0.0_wp) cycle
-      met = met + 1
-      if (.not. polygon%convex) then
-        if (.not. outward > 0.0_wp .or. time < -polygon%tolerance .or. time >= soonest) cycle
-        soonest = time
-      end if
-      next = k
-    end do
-    if (polygon%convex .and. met /= 1) next = 0
-    if (.not. polygon%convex .and. enters < soonest - polygon%tolerance) next = 0
-    if (next == 0) return
-    outward = polygon%normal_x(next)*ux + polygon%normal_y(next)*uy
-    if (.not. polygon%convex .and. .not. outward > grazing) return
-    if (.not. outward > 0.0_wp) return
-    wait = max((polygon%offset(next) - polygon%normal_x(next)*x - polygon%normal_y(next)*y) &
-      /max(outward, slowest), 0.0_wp)
-    length = length + wait
-    x = x + ux*wait
-    y = y + uy*wait
-    if (abs(y) < polygon%half_opening(next)) then
-      flies = 0.0_wp
-    else
-      hits = hits + 1.0_wp
-      kick = 2.0_wp*outward
-      ux = ux - kick*polygon%normal_x(next)
-      uy = uy - kick*polygon%normal_y(next)
-    end if
-  end subroutine step_one
 
   !> Stores a visit that has not ended: truncated, or one that never ends.
   pure subroutine store_truncated(visits, j, state, channel)

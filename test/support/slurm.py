@@ -89,7 +89,7 @@ class Slurm:
         for name in NAMES:
             (self.folder / name).mkdir()
             self._daemon(name, "slurmd", "-D", "-N", name)
-        self._await(lambda: self.state_of_nodes() == "idle", "the nodes")
+        self.wait_until_idle()
 
     def __enter__(self) -> Slurm:
         """Give the cluster."""
@@ -126,6 +126,10 @@ class Slurm:
         """Give the state of all nodes, if they have the same."""
         ended = self.nodes["head"].run("sinfo", "-h", "-o", "%T", env=self.environment)
         return ended.stdout.strip()
+
+    def wait_until_idle(self) -> None:
+        """Wait until no node has a job."""
+        self._await(lambda: self.state_of_nodes() == "idle", "idle nodes")
 
     def submit(self, script: Path, *options: str, folder: Path) -> str:
         """Submit a job from a folder; give its number."""

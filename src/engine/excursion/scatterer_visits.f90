@@ -19,7 +19,8 @@ module battery_scatterer_visits
   use battery_half_channel_passages, only: compute_half_channel_passages
   use battery_archive, only: archive_type
   use battery_table, only: table_type
-  use battery_urn, only: are_mirror_images, compute_passages, locate_in_passage, locate_after
+  use battery_urn, only: are_mirror_images, compute_passages, locate_in_passage, locate_after, &
+    follow_passage
   use battery_visits, only: visits_type, reserve_visits, truncated
   implicit none (type, external)
   private
@@ -189,7 +190,7 @@ contains
     integer, intent(in) :: k
     real(wp), intent(in) :: limit
     type(scatterer_visit_type), intent(inout) :: visit
-    real(wp) :: position(2), velocity(2), leaves, after, until
+    real(wp) :: position(2), velocity(2), leaves, after, until, forwards
     integer(int64) :: later
     logical :: stays, truncated_now
 
@@ -202,7 +203,14 @@ contains
     if (truncated_now .or. (limit < huge(1.0_wp) .and. (stays .or. leaves > limit))) then
       after = merge(-v%through(k), limit - leaves, truncated_now)
       until = merge(leaves - v%through(k), limit, truncated_now)
-      if (stays .or. until - visit%now%time < 0.5_wp*v%length(k)) then
+      ! Through a polygon forwards all the way: back from its end, rounding may lead to the other
+      ! side of a corner.
+      forwards = merge(1.0_wp, 0.5_wp, table%urn(visit%now%urn)%truncates_passages)
+      if (until - visit%now%time < forwards*v%length(k)) then
+        call follow_passage(table%urn(visit%now%urn), visit%now%x, visit%now%y, visit%now%ux, &
+          visit%now%uy, until - visit%now%time, position, velocity, later)
+        later = later - int(v%hits(k), int64)
+      else if (stays) then
         call locate_after(table%urn(visit%now%urn), visit%now%x, visit%now%y, visit%now%ux, &
           visit%now%uy, until - visit%now%time, position, velocity, later)
         later = later - int(v%hits(k), int64)
