@@ -23,6 +23,9 @@
 # Open MPI 4 as Debian and Ubuntu configure it lacks what ranks of several nodes need on Ethernet. A
 # site with InfiniBand and an Open MPI of its own needs no such line.
 export OMPI_MCA_osc=^ucx
+# Its ranks under srun may crash at their start, about one start in a hundred on busy nodes, before
+# this program has done anything; not with this.
+export PMIX_MCA_gds=hash
 program=build/bin/battery
 namelists=(namelists/one_channel/*.nml)
 
