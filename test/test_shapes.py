@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import h5py
 import numpy as np
 import pytest
-from support.program import run
+from support.program import namelist, run
 
 from postproc.figures import film, scene
 from postproc.reading.results import Results
@@ -155,6 +155,23 @@ def test_pictures_have_all_particles_inside(tmp_path: Path, table: str, engine: 
             assert inside.all()
     assert walls[:, 0].max() == pytest.approx(float(circuit.sides[1].end))
     assert walls[:, 0].min() == pytest.approx(-float(circuit.sides[0].end))
+
+
+def test_who_runs_along_a_wall_into_its_corner_is_not_trapped(tmp_path: Path) -> None:
+    """Two hits in one corner, with directions that rounding alone tells apart, are no orbit."""
+    (tmp_path / "start.txt").write_text("2.125 0.5 -0.6 0.8\n")
+    corners = "-1, -1, 1, -1, 1, 1, 0.25, 1, 0, 0.5, -0.25, 1, -1, 1"
+    text = namelist(
+        table={"urn_shape": "'polygon'", "urn_vertices": corners, "channel2_width": 0.25,
+               "channel2_length": 0.5},
+        particles={"number": 1, "initial_file": "'start.txt'"}, gate={"threshold": 50},
+        run={"duration": 13}, output={"snapshot_times": "5, 6, 7, 8, 9, 10, 11, 12"},
+    )  # fmt: skip
+    (tmp_path / "a.nml").write_text(text)
+    assert run("--quiet", "a.nml", folder=tmp_path).returncode == 0
+    with h5py.File(tmp_path / "battery.h5") as file:
+        assert file["trapped"][0, 0] == 0
+        assert (np.diff(file["snapshots/x"][0, 0, :, 0]) != 0.0).all()
 
 
 def _boundary(walls: list[np.ndarray]) -> np.ndarray:

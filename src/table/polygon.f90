@@ -772,7 +772,7 @@ contains
       side = int(next)
       call reflect_from_side(polygon, side, x, y, ux, uy)
       if (has_returned(polygon, state_on_side(polygon, side, x, y, ux, uy), state) .and. &
-        period > 0.0_wp) return
+        period > polygon%tolerance) return
     end do
     period = huge(1.0_wp)
     hits = 0

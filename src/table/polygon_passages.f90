@@ -403,12 +403,13 @@ contains
     !> `truncated`.
     integer(int64), intent(out) :: ending
     type(boundary_state_type) :: kept
-    real(wp) :: wait
+    real(wp) :: wait, kept_length
     integer :: hits, keep, side
     logical :: same
 
     side = 0
     keep = 1
+    kept_length = length
     same = .false.
     ending = truncated
     do hits = 1, most_part_hits
@@ -434,11 +435,14 @@ contains
       call reflect_from_side(polygon, side, x, y, ux, uy)
       steps = steps + 1.0_wp
       state = state_on_side(polygon, side, x, y, ux, uy)
-      if (hits > 1) same = has_returned(polygon, state, kept)
+      ! Two hits in one corner, along one of its sides, are no way back.
+      if (hits > 1 .and. length - kept_length > polygon%tolerance) same = has_returned(polygon, &
+        state, kept)
       if (same) exit
       if (hits >= longest_period .and. length >= least_part*polygon%reach) exit
       if (hits == keep) then
         kept = state
+        kept_length = length
         keep = 2*keep
       end if
     end do

@@ -210,7 +210,7 @@ contains
         call follow_passage(table%urn(visit%now%urn), visit%now%x, visit%now%y, visit%now%ux, &
           visit%now%uy, until - visit%now%time, position, velocity, later)
         later = later - int(v%hits(k), int64)
-      else if (stays) then
+      else if (stays .and. .not. table%urn(visit%now%urn)%truncates_passages) then
         call locate_after(table%urn(visit%now%urn), visit%now%x, visit%now%y, visit%now%ux, &
           visit%now%uy, until - visit%now%time, position, velocity, later)
         later = later - int(v%hits(k), int64)
