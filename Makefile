@@ -62,6 +62,8 @@ PREFIX  ?= /usr/local
 POSTPROC ?= 1
 VENV    := build/venv
 PYTHON  := $(VENV)/bin/python
+# The Python side, importable by that Python from every folder, and its commands.
+POSTPROC := $(VENV)/bin/battery-postproc
 PROGRAM := $(BUILT)/bin/battery
 SOURCES := Makefile fpm.toml packaging/switches $(shell find src app -type f)
 RANKS   := 2
@@ -72,7 +74,7 @@ FULL    ?= 0
 help: ## lists the targets
 	@sed -nE 's/^([a-z]+):[^#]*## (.*)/make \1\t\2/p' $(filter-out build/%,$(MAKEFILE_LIST)) | expand -t 18
 
-demo: build build/stamps/python ## builds, runs namelists/quickstart.nml on 2 ranks, draws the pictures
+demo: build $(POSTPROC) ## builds, runs namelists/quickstart.nml on 2 ranks, draws the pictures
 	@mkdir -p build/demo
 	cd build/demo
 	mpirun -n $(RANKS) $(CURDIR)/$(PROGRAM) --overwrite ../../namelists/quickstart.nml
@@ -82,12 +84,12 @@ demo: build build/stamps/python ## builds, runs namelists/quickstart.nml on 2 ra
 	echo "The pictures are in build/demo:"
 	ls build/demo/*.png
 
-test: build build/stamps/python ## builds, runs the tests; at the end "N passed, M failed"; FULL=1: all, also slow ones
+test: build $(POSTPROC) ## builds, runs the tests; at the end "N passed, M failed"; FULL=1: all, also slow ones
 	@$(PYTHON) test/all.py $(if $(filter-out 0,$(FULL)),--full) --built=$(BUILT) \
 	  --release=" $(RELEASE_FLAGS)" --release-link=" $(RELEASE_LINK)" \
 	  --debug=" $(DEBUG_FLAGS)" --debug-link=" $(DEBUG_LINK)"
 
-cluster: build build/stamps/python ## as root: a Slurm of two nodes here runs the example jobs, machines die; then it is gone
+cluster: build $(POSTPROC) ## as root: a Slurm of two nodes here runs the example jobs, machines die; then it is gone
 	@$(PYTHON) test/support/cluster_packages.py
 	$(PYTHON) -m pytest -q -rs test/test_slurm.py test/test_nodes.py
 
@@ -155,12 +157,12 @@ $(PROCESSORS:%=build/%/bin/battery): build/%/bin/battery: FORCE | libraries $(fp
 docs: build build/stamps/docs ## the manual: build/site/index.html opens from disk, with search and formulas
 	@PYTHONPATH=docs:. PATH="$(CURDIR)/$(VENV)/bin:$$PATH" nice $(PYTHON) -m manual
 
-build/stamps/docs: docs/requirements.txt build/stamps/python
+build/stamps/docs: docs/requirements.txt $(POSTPROC)
 	@echo "Installing the Python packages of docs/requirements.txt in $(VENV)"
 	$(PYTHON) -m pip install --quiet --disable-pip-version-check -r docs/requirements.txt
 	touch $@
 
-lint: build/stamps/python ## style of the Fortran and the Python sources
+lint: $(POSTPROC) ## style of the Fortran and the Python sources
 	@$(VENV)/bin/fortitude check --output-format concise src app test docs $(wildcard studies)
 	$(VENV)/bin/ruff check --config postproc/ruff.toml postproc test docs $(wildcard studies)
 	$(VENV)/bin/ruff format --check --config postproc/ruff.toml postproc test docs $(wildcard studies)
@@ -259,6 +261,12 @@ build/stamps/python: postproc/requirements.txt | build/stamps/packages$(SUFFIX)
 	[[ -x $(PYTHON) ]] || python3 -m venv $(VENV)
 	$(PYTHON) -m pip install --quiet --disable-pip-version-check -r postproc/requirements.txt
 	touch $@
+
+$(POSTPROC): build/stamps/python
+	@packages=$$($(PYTHON) -c 'import sysconfig; print(sysconfig.get_path("purelib"))')
+	echo '$(CURDIR)' > "$$packages/battery.pth"
+	printf '#!%s\nfrom postproc.__main__ import run\n\nraise SystemExit(run())\n' '$(CURDIR)/$(PYTHON)' > $@
+	chmod +x $@
 
 # The git commit for src/base/commit.c. fpm does not watch files that may not be there, so the object
 # that has it is removed when it changes; objects for another processor or compiler go as well.

@@ -1,6 +1,6 @@
 """All commands as one: `battery-postproc NAME ...`, or `python -m postproc NAME ...`.
 
-Each is a module of its own as well: `python -m postproc.NAME ...`.
+Most are modules of their own as well: `python -m postproc.NAME ...`.
 """
 
 from __future__ import annotations
@@ -15,38 +15,37 @@ from pathlib import Path
 from postproc import __version__, cli
 
 STARTING = ("advise",)  # commands that start the program, as postproc.run does
+COMMANDS = {
+    "advise": "postproc.advise",
+    "currents": "postproc.currents",
+    "figures": "postproc.figures.__main__",
+    "film": "postproc.film",
+    "lifetimes": "postproc.lifetimes",
+    "report": "postproc.report.__main__",
+    "scene": "postproc.scene",
+    "table": "postproc.reading.table",
+    "theory": "postproc.theory.__main__",
+}
 PLACE = Path(__file__).resolve().parent
 
 
 def main(arguments: list[str] | None = None) -> int:
     """Run the named command with the arguments that follow it."""
-    found = commands()
     options = cli.Parser(
-        prog=cli.COMMAND, description=description(found),
+        prog=cli.COMMAND, description=description(),
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )  # fmt: skip
     options.add_argument("--version", action="version", version=f"{cli.COMMAND} {__version__}")
-    options.add_argument("name", metavar="NAME", choices=sorted(found), help="one of these")
+    options.add_argument("name", metavar="NAME", choices=sorted(COMMANDS), help="one of these")
     words = sys.argv[1:] if arguments is None else arguments
     given = options.parse_args(words[:1])
-    return importlib.import_module(found[given.name]).main(words[1:])
+    return importlib.import_module(COMMANDS[given.name]).main(words[1:])
 
 
-def commands() -> dict[str, str]:
-    """Return the module of each command by its name: the modules that have a `main`."""
-    files = {path.stem: path for path in PLACE.glob("*.py") if path.stem != "__main__"}
-    files |= {path.parent.name: path for path in PLACE.glob("*/__main__.py")}
-    return {
-        name: f"postproc.{'.'.join(path.relative_to(PLACE).with_suffix('').parts)}"
-        for name, path in sorted(files.items())
-        if any(getattr(node, "name", "") == "main" for node in _tree(path).body)
-    }
-
-
-def description(found: dict[str, str]) -> str:
+def description() -> str:
     """Return a line for each command: the first line of its docstring."""
     lines: dict[bool, list[str]] = {True: [], False: []}
-    for name, module in found.items():
+    for name, module in COMMANDS.items():
         path = PLACE.joinpath(*module.split(".")[1:]).with_suffix(".py")
         summary = (ast.get_docstring(_tree(path)) or "").split("\n", 1)[0]
         lines[name in STARTING].append(f"  {name:12s} {summary}")

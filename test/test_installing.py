@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import importlib
 import os
 import re
 import shutil
@@ -42,22 +43,25 @@ def test_an_unwritable_prefix_is_one_message(tmp_path: Path) -> None:
     assert done.stdout == ""
 
 
-def test_the_command_has_every_script() -> None:
-    found = command.commands()
-    for module in found.values():
-        path = ROOT.joinpath(*module.split(".")).with_suffix(".py")
-        assert 'if __name__ == "__main__":' in path.read_text(encoding="utf-8")
-    scripts = {
-        path.parent.name if path.stem == "__main__" else path.stem
-        for path in [*ROOT.glob("postproc/*.py"), *ROOT.glob("postproc/*/__main__.py")]
-        if 'if __name__ == "__main__":' in path.read_text(encoding="utf-8")
-    }
-    assert set(found) == scripts - {"postproc"}
-    told = command.description(found)
-    without, starting = told.split("With the program")
-    for name in found:
+def test_every_command_is_listed_and_can_be_called() -> None:
+    without, starting = command.description().split("With the program")
+    for name, module in command.COMMANDS.items():
         place = starting if name in command.STARTING else without
         assert re.search(rf"^  {name} +\S", place, re.MULTILINE)
+        assert callable(importlib.import_module(module).main)
+
+
+def test_commands_and_package_work_from_every_folder(tmp_path: Path) -> None:
+    """With the Python of the checkout; each public name is listed, and is not a module."""
+    tools = ROOT / "build/venv/bin"
+    options = ["--number", "1000", "--threshold", "7", "--model", "window"]
+    called = call(tools / "battery-postproc", "theory", *options, folder=tmp_path)
+    assert '"mass_spread"' in called.stdout, called.stderr
+    text = "import postproc as p; print(*(f'{n} {type(getattr(p, n)).__name__};' for n in dir(p)))"
+    listed = call(tools / "python", "-c", text, folder=tmp_path)
+    assert "Circuit type;" in listed.stdout
+    assert "table function;" in listed.stdout
+    assert "module;" not in listed.stdout
 
 
 @cache
@@ -84,7 +88,7 @@ def reached(module: str) -> set[str]:
 
 
 def test_what_is_said_to_need_no_program_starts_none() -> None:
-    for name, module in command.commands().items():
+    for name, module in command.COMMANDS.items():
         starts = reached(module) & {"postproc.running", "postproc.launcher"}
         if name in command.STARTING:
             assert "postproc.running" in starts, name

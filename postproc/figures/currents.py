@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
     from matplotlib.gridspec import SubplotSpec
+    from matplotlib.lines import Line2D
     from numpy.typing import NDArray
 
     from postproc.reading.results import Series
@@ -60,14 +61,18 @@ def settled_number2(circuit: Circuit, series: Series) -> float:
 
 def draw_eta(
     axes: Axes, circuit: Circuit, models: Sequence[Model], number2: float | None = None
-) -> None:
-    """Draw eta of eq. (eq007) against N2/N, its zeros, and a disc at the state of the run."""
+) -> list[Line2D]:
+    """Draw eta of eq. (eq007) against N2/N, its zeros, and a disc at the state of the run.
+
+    Return the line of each theory.
+    """
     total = float(circuit.number)
     second = np.linspace(0.0, total, 801)
     axes.axhline(0.0, color=style.GREY, linewidth=0.6)
+    lines = []
     for model in models:
-        values = model.eta(circuit, second)
-        axes.plot(second / total, values, color=style.BLACK, ls=model.dashes, lw=1.0)
+        look = {"color": style.BLACK, "ls": model.dashes, "lw": 1.0}
+        lines += axes.plot(second / total, model.eta(circuit, second), label=model.label, **look)
         for zero, kind in model.zeros(circuit):
             face = "white" if kind == "unstable" else style.GREY
             axes.plot(zero / total, 0.0, "o", ms=3.2, mfc=face, mec=style.BLACK, mew=0.6, zorder=4)
@@ -77,6 +82,7 @@ def draw_eta(
     axes.set_xlim(0.0, 1.0)
     axes.xaxis.set_major_locator(MaxNLocator(4))
     axes.yaxis.set_major_locator(MaxNLocator(5))
+    return lines
 
 
 def explain_eta(axes: Axes) -> None:

@@ -40,7 +40,6 @@ TEXTS, NUMBERS = ("units", "long_name", "flag_meanings"), ("_FillValue", "flag_v
 COMPLETE, NOT_ASKED = 0, 3  # values of `task_status`
 TWO_STATES = 2  # value of `point_status`
 POLARISED = 0.15  # chi above which a state is called polarised
-FEW = 4  # replicas that may agree by chance
 READABLE = ("0.1.", "0.2.", "0.3.", "0.4.")  # prefixes of the versions whose files are read
 
 
@@ -363,9 +362,8 @@ class Results:
     def replica_mean(self, name: str) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return mean and standard error over the replicas of each point, shape (point,).
 
-        The error is from the scatter of the replicas. Few of them may agree by chance: up to `FEW`
-        it is at least that of their own errors (`NAME_error`), and for one replica it is its own,
-        NaN if that is not known. NaN if replicas are in two states.
+        The error is from the scatter of the replicas; for one replica it is its own
+        (`NAME_error`), NaN if that is not known. NaN if replicas are in two states.
         """
         one_state = self.done & ~self.two_states[:, None]
         values = np.where(one_state, self.value(name), math.nan)
@@ -538,8 +536,6 @@ def mean_and_error(
     mean = np.where(good, values, 0.0).sum(axis=-1) / safe
     squares = np.where(good, (values - mean[..., None]) ** 2, 0.0).sum(axis=-1)
     between = np.sqrt(squares / np.maximum(count - 1, 1) / safe)
-    known = good & np.isfinite(own_errors)
-    within = np.sqrt(np.where(known, own_errors**2, 0.0).sum(axis=-1)) / safe
-    error = np.where(count <= FEW, np.maximum(np.where(count > 1, between, 0.0), within), between)
-    untold = (count == 0) | ((count == 1) & ~known.any(axis=-1))
-    return np.where(count == 0, math.nan, mean), np.where(untold, math.nan, error)
+    own = np.where(good, own_errors, 0.0).sum(axis=-1)
+    error = np.where(count > 1, between, np.where(count == 1, own, math.nan))
+    return np.where(count == 0, math.nan, mean), error

@@ -1,0 +1,272 @@
+"""A circuit by the keys of the namelist, and what the theories say of it."""
+
+from __future__ import annotations
+
+import math
+import reprlib
+from dataclasses import asdict, dataclass, fields
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from postproc.cli import InputError
+from postproc.theory.circuit import PAPERS_AGE
+from postproc.theory.circuit import Circuit as Model
+from postproc.theory.models import MODELS
+from postproc.theory.outlines import outline_of, regular, widest
+from postproc.theory.states import State
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+
+    from matplotlib.axes import Axes
+    from matplotlib.lines import Line2D
+    from numpy.typing import ArrayLike, NDArray
+
+    from postproc.theory.chain import Lifetimes
+    from postproc.theory.outlines import Outline
+
+    Floats = NDArray[np.float64]
+
+PAPERS = "window"
+
+
+@dataclass(frozen=True)
+class Circuit:
+    """Two urns joined by two channels, with keys and defaults of the namelist.
+
+    Lengths are in one unit, the speed is 1. Two values are those of urn 1 and of urn 2.
+
+    Attributes
+    ----------
+    number : N, how many particles.
+    threshold : T, one number or two: a gate reverses the particles that it counts if these are more
+        than T.
+    urn_radius : r, one number or two.
+    channel1_width, channel1_length : w and l of the gated channel, both gates together.
+    channel2_width, channel2_length : w' and l' of the channel that closes the circuit, of which
+        there is none if w' = 0.
+    urn_sides : how many sides urns have that are regular polygons of radius r; None: discs.
+    urn_vertices : x1, y1, x2, y2, ... of urns that are any polygons, counterclockwise, x towards
+        channel 1; None: discs.
+
+    Raises
+    ------
+    InputError
+        It names every key that is not allowed, and what is.
+
+    Examples
+    --------
+    >>> from postproc import Circuit
+    >>> circuit = Circuit(number=1000, threshold=7, channel2_width=0.02)
+    >>> circuit
+    Circuit(number=1000, threshold=7, channel2_width=0.02)
+    >>> [f"{state.mass_spread:.3f} {state.kind}" for state in circuit.states()]
+    ['0.000 unstable', '0.882 stable']
+    """
+
+    number: int
+    threshold: int | Sequence[int]
+    urn_radius: float | Sequence[float] = 1.0
+    channel1_width: float = 0.3
+    channel1_length: float = 1.0
+    channel2_width: float = 0.01
+    channel2_length: float = 1.0
+    urn_sides: int | None = None
+    urn_vertices: Sequence[float] | None = None
+
+    def __post_init__(self) -> None:
+        """Check all values; lists become tuples, so that circuits can be compared."""
+        for key in ("threshold", "urn_radius", "urn_vertices"):
+            if isinstance(value := getattr(self, key), (list, np.ndarray)):
+                object.__setattr__(self, key, tuple(np.ravel(value).tolist()))
+        if problems := self._problems():
+            raise InputError("; ".join(problems))
+
+    def __repr__(self) -> str:
+        """Return the call that makes it, without defaults."""
+        given = (f"{one.name}={reprlib.repr(getattr(self, one.name))}" for one in fields(self)
+                 if getattr(self, one.name) != one.default)  # fmt: skip
+        return f"Circuit({', '.join(given)})"
+
+    def eta(self, urn2_number: ArrayLike, theory: str = PAPERS) -> Floats:
+        """Return eta of eq. (eq007), by how much urn 2 gains in a unit of time.
+
+        Parameters
+        ----------
+        urn2_number : N2, between 0 and N, of any shape.
+        theory : "window" (the paper's), "renewal" or "direction".
+
+        Returns
+        -------
+        numpy.ndarray
+            Of the same shape; NaN where the theory knows no flow.
+        """
+        return _theory(theory).eta(self.model(), urn2_number)
+
+    def states(self, theory: str = PAPERS, age: float = PAPERS_AGE) -> list[State]:
+        """Return the stationary states with N2 >= N/2; each but the first has a mirror image.
+
+        Parameters
+        ----------
+        theory : as for `eta`.
+        age : time since the start of a run, for "direction", whose net current grows with it; by
+            default that of the paper's runs.
+
+        Returns
+        -------
+        list of State
+            By increasing N2. The first is the homogeneous one; of unequal urns or gates only those
+            that the theory finds. `kind` is "stable" or "unstable" ("neutral": nothing flows),
+            `mass_spread` is chi, `net_current` that of channel 1 from urn 1 to urn 2.
+        """
+        known, own = _theory(theory), self.model(age)
+        found = known.states(own)
+        if not own.alike:
+            return found
+        return [State(0.5 * self.number, known.homogeneous_kind(own), 0.0, 0.0), *found]
+
+    def transition_width(self, theory: str = PAPERS) -> float:
+        """Return w' of the transition line, eq. (transition), at this N, T and w.
+
+        NaN: there is none. `channel2_width` is not used.
+        """
+        own, known = self.model(), _theory(theory)
+        if known.mixed or not own.alike:
+            return float(known.theory_of(own).transition_width(known.of(own)))
+        return float(self.transition_line([own.threshold], theory)[1][0])
+
+    def transition_line(
+        self, thresholds: Iterable[int], theory: str = PAPERS
+    ) -> tuple[Floats, Floats]:
+        """Return T and w' of the line on which the homogeneous state becomes stable.
+
+        Parameters
+        ----------
+        thresholds : T for which it is computed. `threshold` and `channel2_width` are not used.
+        theory : as for `eta`.
+
+        Returns
+        -------
+        tuple of numpy.ndarray
+            T, and w' of the same shape, NaN where there is no line.
+        """
+        own, known = self.model(), _theory(theory)
+        asked = np.asarray(list(thresholds), int)
+        if not own.alike or asked.size == 0:
+            return asked.astype(float), np.full(asked.shape, math.nan)
+        line = known.transition_line(own, int(asked.min()), int(asked.max()))
+        reached = np.minimum(asked, line[0][-1])  # no gate reverses from T = N on
+        widths = line[1][np.searchsorted(line[0], np.maximum(reached, line[0][0]))]
+        return asked.astype(float), np.where(asked > line[0][-1], 0.0, widths)
+
+    def lifetimes(self, theory: str = PAPERS) -> Lifetimes:
+        """Return the mean times in which fluctuations end the homogeneous and polarised state.
+
+        In units of length over speed; infinite: a state is never left, NaN: there is no such state.
+        """
+        own = self.model()
+        if not own.alike:
+            raise InputError("lifetimes need two equal urns and gates")
+        return _theory(theory).lifetimes(own)
+
+    def plot_eta(
+        self, theory: str | Sequence[str] = PAPERS, ax: Axes | None = None
+    ) -> list[Line2D]:
+        """Draw eta against N2/N; discs mark its zeros, full ones those that are stable.
+
+        Parameters
+        ----------
+        theory : one or several.
+        ax : axes to draw into; None: the current ones of pyplot.
+
+        Returns
+        -------
+        list of matplotlib.lines.Line2D
+            One for each theory.
+        """
+        from matplotlib import pyplot as plt  # noqa: PLC0415 (not every user draws)
+
+        from postproc.figures.currents import draw_eta  # noqa: PLC0415
+
+        names = [theory] if isinstance(theory, str) else theory
+        return draw_eta(ax or plt.gca(), self.model(), [_theory(name) for name in names])
+
+    def model(self, age: float = PAPERS_AGE) -> Model:
+        """Return the circuit as the theories take it."""
+        one, two = _both(self.urn_radius)
+        threshold, other = _both(self.threshold)
+        first, *second = self._outlines()
+        sizes = {key: float(getattr(self, key)) for key in _LENGTHS}
+        return Model(
+            self.number, threshold, urn_radius=one, urn2_radius=two if two != one else None,
+            gate2_threshold=other if other != threshold else None, outline=first,
+            urn2_outline=second[0] if second and second[0] != first else None, age=age, **sizes,
+        )  # fmt: skip
+
+    def _outlines(self) -> list[Outline | None]:
+        """Return the outline of the urns, or those of urn 1 and urn 2; None of a disc."""
+        if self.urn_vertices is not None:
+            return [outline_of(np.reshape(self.urn_vertices, (-1, 2)))]
+        if self.urn_sides is not None:
+            return [regular(self.urn_sides, radius) for radius in _both(self.urn_radius)]
+        return [None]
+
+    def _problems(self) -> list[str]:
+        """Return what is wrong with the values, a line for each."""
+        given = asdict(self)
+        rules = [("number", _is_whole(self.number, 1), "a whole number from 1 up")]
+        for key, allowed, good in (
+            ("threshold", "one whole number from 0 up, or two", lambda one: _is_whole(one, 0)),
+            ("urn_radius", "one number above 0, or two", _is_length),
+        ):
+            values = given[key] if isinstance(given[key], tuple) else (given[key],)
+            rules.append((key, len(values) in (1, 2) and all(map(good, values)), allowed))
+        corners, sides = self.urn_vertices, self.urn_sides
+        rules += [
+            ("urn_vertices", corners is None or (len(corners) % 2 == 0 and len(corners) >= 6),
+             "two numbers for each of three corners or more"),
+            ("urn_sides", sides is None or (_is_whole(sides, 4) and sides % 2 == 0),
+             "even numbers from 4 up"),
+            ("urn_sides", sides is None or corners is None, "only without urn_vertices"),
+            ("channel1_length", _is_length(self.channel1_length), "one number above 0"),
+            ("channel2_length", _is_length(self.channel2_length), "one number above 0"),
+        ]  # fmt: skip
+        if all(good for _, good, _ in rules):
+            diameter = min(2.0 * radius if outline is None else widest(outline)
+                           for radius in _both(self.urn_radius)
+                           for outline in self._outlines())  # fmt: skip
+            below = f"below 2r = {diameter:g}" if corners is None else f"below {diameter:g}"
+            width1, width2 = self.channel1_width, self.channel2_width
+            rules += [
+                ("channel1_width", _is_length(width1) and width1 < diameter,
+                 f"one number above 0 and {below}"),
+                ("channel2_width", width2 == 0 or (_is_length(width2) and width2 < diameter),
+                 f"one number from 0 up and {below}"),
+            ]  # fmt: skip
+        return [f"{key} = {given[key]}; allowed: {allowed}"
+                for key, good, allowed in rules if not good]  # fmt: skip
+
+
+_LENGTHS = ("channel1_width", "channel1_length", "channel2_width", "channel2_length")
+
+
+def _theory(name: str) -> Any:  # noqa: ANN401 (a class of its own package)
+    """Return a theory by its name."""
+    if name not in MODELS:
+        raise InputError(f"there is no theory {name!r}; there are {', '.join(MODELS)}")
+    return MODELS[name]
+
+
+def _both(value: Any) -> tuple[Any, Any]:  # noqa: ANN401 (a number, or a sequence of them)
+    """Return the values of urn 1 and urn 2 from one or two."""
+    values = value if isinstance(value, tuple) else (value,)
+    return values[0], values[-1]
+
+
+def _is_whole(value: object, least: int) -> bool:
+    return isinstance(value, (int, np.integer)) and not isinstance(value, bool) and value >= least
+
+
+def _is_length(value: object) -> bool:
+    return isinstance(value, (int, float, np.number)) and 0.0 < float(value) < math.inf
