@@ -23,8 +23,8 @@ import f90nml
 
 from postproc import cli
 from postproc.advice.advice import QUANTITIES, advise, table_of
+from postproc.circuit_options import circuit_options, given_circuit
 from postproc.theory.circuit import Circuit
-from postproc.theory.options import circuit_options, given_circuit
 
 if TYPE_CHECKING:
     import argparse

@@ -15,8 +15,8 @@ from __future__ import annotations
 import json
 
 from postproc import cli
+from postproc.circuit_options import beside, circuit_options, given_circuit, given_models
 from postproc.progress import doing
-from postproc.theory.options import beside, circuit_options, given_circuit, given_models
 
 
 def main(arguments: list[str] | None = None) -> int:

@@ -40,7 +40,7 @@ def python() -> tuple[dict[str, str], dict[str, set[str]]]:
     names = {".".join(path.with_suffix("").parts).removesuffix(".__init__"): path for path in files}
     layers, uses = {}, {}
     for name, path in names.items():
-        inner = path.parts[1] if len(path.parts) > 2 else path.stem
+        inner = path.parts[1] if len(path.parts) > 2 and path.stem != "__main__" else path.stem
         layers[name] = inner if inner in order_of("postproc") else "commands"
         uses[name] = {one for one in imported(path) if one in names}
     return layers, uses

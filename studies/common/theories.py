@@ -9,10 +9,10 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
+from postproc.circuit_options import circuit_options, given_circuit
 from postproc.theory import two_port
 from postproc.theory.circuit import transition_width
 from postproc.theory.models import MODELS, describe
-from postproc.theory.options import circuit_options, given_circuit
 from postproc.theory.states import Theory
 
 if TYPE_CHECKING:
