@@ -99,7 +99,7 @@ def figure_app2(files: Sequence[Results], models: Sequence[Model] = ()) -> Figur
     _explain(panels[0], [(model.dashes, f"theory, {model.label}") for model in models])
     panels[0].set_ylabel("current (per unit time)")
     panels[0].set_ylim(bottom=0.0)
-    made.legend(loc="outside upper center", ncols=5)
+    style.legend_above(made, *panels[0].get_legend_handles_labels(), 5)
     return made
 
 
@@ -158,7 +158,7 @@ def figure_app3(files: Sequence[Results], models: Sequence[Model] = ()) -> Figur
         notes.append(f"{unknown} differences left out, where theory is below {LEAST:g}")
     style.note(panels[0, 0], "; ".join(notes))
     handles, labels = panels[0, 0].get_legend_handles_labels()
-    made.legend(handles, labels, loc="outside upper center", ncols=2, fontsize=7.5)
+    style.legend_above(made, handles, labels, 2, fontsize=7.5)
     return made
 
 
@@ -212,5 +212,5 @@ def figure_app4(files: Sequence[Results], models: Sequence[Model] = ()) -> Figur
     style.label_fraction(axes)
     axes.set_ylabel("current / $N$ (per unit time)")
     axes.set_ylim(bottom=0.0)
-    made.legend(loc="outside upper center", ncols=3, fontsize=7)
+    style.legend_above(made, *axes.get_legend_handles_labels(), 3, fontsize=7)
     return made

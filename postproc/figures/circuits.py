@@ -73,7 +73,7 @@ def figure_comp05(files: Sequence[Results], models: Sequence[Model] = ()) -> Fig
             balance.set_ylabel(r"$\eta$, what urn 2 gains")
     explain_eta(made.axes[0])
     handles, labels = made.axes[0].get_legend_handles_labels()
-    made.legend(handles, labels, loc="outside upper center", ncols=6, columnspacing=1.0, fontsize=7)
+    style.legend_above(made, handles, labels, 6, columnspacing=1.0, fontsize=7)
     return made
 
 
@@ -106,7 +106,7 @@ def figure_comp06(files: Sequence[Results], models: Sequence[Model] = ()) -> Fig
     panels[0, 0].set_ylim(0.0, 1.02)
     panels[1, 0].set_ylabel("net current, channel 2\n(per unit time)")
     handles, labels = panels[0, 0].get_legend_handles_labels()
-    made.legend(handles, labels, loc="outside upper center", ncols=3, fontsize=7.5)
+    style.legend_above(made, handles, labels, 3, fontsize=7.5)
     return made
 
 
@@ -180,7 +180,7 @@ def figure_comp01(files: Sequence[Results], models: Sequence[Model] = ()) -> Fig
     handles, labels = left.get_legend_handles_labels()  # lines come first
     entries = list(zip(handles, labels, strict=True))
     handles, labels = zip(*entries[len(models) :], *entries[: len(models)], strict=True)
-    made.legend(handles, labels, loc="outside upper center", ncols=4, fontsize=7.5)
+    style.legend_above(made, handles, labels, 4, fontsize=7.5)
     return made
 
 

@@ -200,9 +200,6 @@ def figure_currents(
         f"$N = {circuit.number}$, $T = {circuit.thresholds}$, "
         f"$w = {circuit.channel1_width:g}$, $w' = {circuit.channel2_width:g}$"
     )
-    made.legend(
-        *axes.get_legend_handles_labels(), loc="outside upper center", ncols=4, fontsize=7,
-        handlelength=1.8,
-    )  # fmt: skip
+    style.legend_above(made, *axes.get_legend_handles_labels(), 4, fontsize=7, handlelength=1.8)
     style.note(axes, results.remark)
     return made

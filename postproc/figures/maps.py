@@ -147,7 +147,7 @@ def figure_numris(files: Sequence[Results], models: Sequence[Model] = ()) -> Fig
     for axes in panels[:, 0]:
         axes.set_ylabel("$w'$")
     handles, labels = panels[0, 0].get_legend_handles_labels()
-    made.legend(handles, labels, loc="outside upper center", ncols=3, fontsize=7.5)
+    style.legend_above(made, handles, labels, 3, fontsize=7.5)
     return made
 
 

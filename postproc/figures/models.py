@@ -30,7 +30,12 @@ def named(names: Iterable[str]) -> tuple[Model, ...]:
 
 
 def default(files: Sequence[Results]) -> tuple[Model, ...]:
-    """Return the theories to draw beside files where none is named, `theory.models.defaults`."""
+    """Return the theories to draw beside files where none is named, `theory.models.defaults`.
+
+    None if there are discs in channel 2, which no theory has.
+    """
+    if any(one.scatterers for one in files):
+        return ()
     return defaults(one.any_circuit(point) for one in files for point in range(one.points))
 
 

@@ -265,7 +265,7 @@ def figure_one_channel(files: Sequence[Results], models: Sequence[Model] = PAIR)
         axes = made.add_subplot(grid[-1, width * at : width * (at + 1)])
         _draw_together(axes, group, models)
     handles, labels = panels[0].get_legend_handles_labels()
-    made.legend(handles, labels, loc="outside upper center", ncols=2, fontsize=7.5)
+    style.legend_above(made, handles, labels, 2, fontsize=7.5)
     return made
 
 

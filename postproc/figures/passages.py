@@ -168,7 +168,7 @@ def figure_lifetimes(files: Sequence[Results], models: Sequence[Model] = ()) -> 
     axes[0].set_ylim(*DRAWN)
     axes[0].set_ylabel("lifetime  (length / $v$)")
     _explain(axes[0], models)
-    made.legend(*axes[0].get_legend_handles_labels(), loc="outside upper center", ncols=3)
+    style.legend_above(made, *axes[0].get_legend_handles_labels(), 3)
     return made
 
 

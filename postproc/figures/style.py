@@ -18,9 +18,11 @@ from matplotlib.ticker import MaxNLocator
 from postproc.cli import InputError, file_to_write, output_folder
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
     from contextlib import AbstractContextManager
     from pathlib import Path
 
+    from matplotlib.artist import Artist
     from matplotlib.axes import Axes
 
 # Okabe and Ito's palette
@@ -111,6 +113,18 @@ def label_fraction(axes: Axes) -> None:
     """Label the horizontal axis T/N, with few enough ticks that they do not touch."""
     axes.set_xlabel("$T/N$")
     axes.xaxis.set_major_locator(MaxNLocator(5))
+
+
+def legend_above(
+    made: Figure, handles: Sequence[Artist], labels: Sequence[str], columns: int, **look: object
+) -> None:
+    """Put a legend above the panels, in at most that many columns, so that it is not cut."""
+    for count in range(columns, 0, -1):
+        legend = made.legend(handles, labels, loc="outside upper center", ncols=count, **look)
+        width = legend.get_window_extent(made.canvas.get_renderer()).width
+        if width <= made.bbox.width or count == 1:
+            return
+        legend.remove()
 
 
 @settings()

@@ -59,7 +59,8 @@ def open_results(
     theory : the name of a model ("window" is the paper's, see `postproc.theory.models`): variables
         `theory_...` have its results; several models become a dimension `theory`. True: the paper's
         beside memory ("direction"), which takes two seconds a point; beyond 12 points and for
-        polygons beside the exact gate ("renewal"). Currents are those of runs as old as the file's.
+        polygons beside the exact gate ("renewal"); none if there are discs in channel 2, which no
+        theory has. Currents are those of runs as old as the file's.
     group : what to read in place of the averages: "series", "snapshots", "final" or "events".
     verify : whether to read the whole file and check its digest, which detects any damage.
 
@@ -89,7 +90,7 @@ def open_results(
         if group is not None and not results.has(group):
             raise InputError(f"{path}: has no {group}")
         axes = results.axes()
-        if theory is True:
+        if theory is True and not results.scatterers:
             circuits = map(results.any_circuit, range(results.points))
             models = [one.name for one in defaults(circuits)]
         added = _theory(results, models) if models and group is None else {}

@@ -1,4 +1,4 @@
-"""Legends of figures: each entry has a look of its own."""
+"""Legends of figures: each entry has a look of its own, and none is cut."""
 
 from __future__ import annotations
 
@@ -18,6 +18,8 @@ if TYPE_CHECKING:
 MIXED = named(["window", "renewal"])
 SHORT = {"duration": 100.0}
 DRAWN = {
+    "comp05": (circuits.figure_comp05, "circuit", MIXED),
+    "comp06": (circuits.figure_comp06, "circuit", MIXED),
     "comp01": (circuits.figure_comp01, "circuit", MIXED),
     "numris": (maps.figure_numris, "circuit", MIXED),
     "lifetimes": (passages.figure_lifetimes, "circuit", MIXED),
@@ -25,6 +27,11 @@ DRAWN = {
     "app3": (appendix.figure_app3, "urn", MIXED),
     "app4": (appendix.figure_app4, "urn", MIXED),
     "one_channel": (one_channel.figure_one_channel, "plane", one_channel.PAIR),
+}
+NARROWEST = {
+    "point": ("comp05", "comp06", "comp01", "numris", "lifetimes"),
+    "urn_point": ("app2", "app3", "app4"),
+    "plane": ("one_channel",),
 }
 
 
@@ -37,6 +44,10 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     results_of(made / "urn.h5", table={"shape": "urn"}, particles={"number": None}, run=SHORT,
                scan={"number": [500, 1000], "channel1_width": [0.1, 0.3], **scan},
                output=BARE)  # fmt: skip
+    results_of(made / "point.h5", run=SHORT, gate={"threshold": 4}, scan={"replicas": 1},
+               output={"series_interval": 10.0})  # fmt: skip
+    results_of(made / "urn_point.h5", table={"shape": "urn"}, particles={"number": 500}, run=SHORT,
+               gate={"threshold": 4}, scan={"replicas": 1}, output=BARE)  # fmt: skip
     lengths = {"channel1_length": [0.5, 1.0], "channel1_width": [0.2, 0.4], "replicas": 1}
     results_of(made / "plane.h5", table={"channel2_width": 0.0}, run=SHORT, scan=lengths,
                particles={"urn1_number": 750}, output=BARE)  # fmt: skip
@@ -48,3 +59,19 @@ def test_no_two_entries_of_a_legend_look_alike(name: str, folder: Path) -> None:
     draw, file, models = DRAWN[name]
     with opened([folder / f"{file}.h5"]) as files:
         assert_looks_apart(draw(files, models))
+
+
+@pytest.mark.parametrize(
+    ("file", "name"), [(file, name) for file, names in NARROWEST.items() for name in names]
+)
+def test_no_legend_is_cut_in_the_narrowest_form_of_a_figure(
+    name: str, file: str, folder: Path
+) -> None:
+    draw, _, models = DRAWN[name]
+    with opened([folder / f"{file}.h5"]) as files:
+        made = draw(files, models)
+    made.draw_without_rendering()
+    for legend in made.legends:
+        box = legend.get_window_extent()
+        assert made.bbox.x0 <= box.x0 <= box.x1 <= made.bbox.x1
+        assert made.bbox.y0 <= box.y0 <= box.y1 <= made.bbox.y1

@@ -18,8 +18,7 @@ module battery_engines
     character(len=11) :: name
     !> Largest number of bytes per particle: with the initial positions and velocities, with arrays
     !> whose size is a power of two, and with two copies of the state, as while it is saved or read.
-    !> Measured: 196, 177, 140, 109, 244; without copies of the state 93, 87, 93, 65, 89. With
-    !> polygons `excursion` needs three times 40 more.
+    !> Measured: 196, 177, 140, 109, 244; without copies of the state 93, 87, 93, 65, 89.
     real(dp) :: bytes
     !> Whether the engine needs `time_step`.
     logical :: has_step
@@ -27,7 +26,7 @@ module battery_engines
 
   !> All engines, in the order of the cases of `new_engine`.
   type(engine_info_type), parameter :: engines(*) = [ &
-    engine_info_type('excursion', 328.0_dp, .false.), &
+    engine_info_type('excursion', 208.0_dp, .false.), &
     engine_info_type('collision', 192.0_dp, .false.), &
     engine_info_type('synchronous', 152.0_dp, .false.), &
     engine_info_type('timestep', 120.0_dp, .true.), &
@@ -80,12 +79,15 @@ contains
   end function has_step
 
   !> Largest number of bytes per particle that an engine allocates.
-  pure function bytes_per_particle(name) result(bytes)
+  pure function bytes_per_particle(name, polygons) result(bytes)
     !> As in the namelist.
     character(len=*), intent(in) :: name
+    !> Whether an urn is a polygon: then `excursion` has the start of each passage, and two copies.
+    logical, intent(in) :: polygons
     real(dp) :: bytes
 
     bytes = sum(engines%bytes, mask=engine_names == name)
+    if (polygons .and. name == 'excursion') bytes = bytes + 120.0_dp
   end function bytes_per_particle
 
   !> Why an engine cannot simulate a table: `reason`, in words for the user, empty if it can; and

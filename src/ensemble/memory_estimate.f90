@@ -44,15 +44,16 @@ contains
     type(free_memory_type), intent(in) :: available
     type(estimate_type) :: estimate
     type(point_type) :: point
-    real(dp) :: others, tasks
+    real(dp) :: others, tasks, per_particle
     integer :: at
 
+    per_particle = bytes_per_particle(plan%engine, plan%urn_shape == 'polygon')
     estimate%least = huge(1)
     do at = 1, plan%point_count
       point = point_of(plan, at)
       estimate%least = min(estimate%least, point%number)
       estimate%greatest = max(estimate%greatest, point%number)
-      if (bytes_per_particle(plan%engine)*point%number + base_bytes > available%bytes) then
+      if (per_particle*point%number + base_bytes > available%bytes) then
         estimate%too_large = estimate%too_large + 1
       else
         estimate%number = max(estimate%number, point%number)
@@ -62,7 +63,7 @@ contains
     tasks = real(task_count(plan), dp)
     others = real(plan%point_count - estimate%too_large, dp)*plan%replicas - 1.0_dp
     others = max(others, 0.0_dp)
-    estimate%particles = bytes_per_particle(plan%engine)*estimate%number
+    estimate%particles = per_particle*estimate%number
     estimate%snapshots = bytes_per_state*size(plan%snapshot_times)*estimate%number
     if (plan%final_state) estimate%final_state = bytes_per_state*estimate%number
     estimate%merge = bytes_per_task*tasks + (estimate%snapshots + estimate%final_state) &

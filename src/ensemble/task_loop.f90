@@ -231,7 +231,8 @@ contains
     logical :: resumed
 
     cpu_before = 0.0_dp
-    call check_memory(bytes_per_particle(task%setup%engine)*task%number, to_text(task%number) &
+    call check_memory(bytes_per_particle(task%setup%engine, &
+      any(task%setup%table%urn%truncates_passages))*task%number, to_text(task%number) &
       //' particles', error)
     if (allocated(error)) return
     call read_state(journal, task, simulation, cpu_before, resumed, error)

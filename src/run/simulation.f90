@@ -153,7 +153,8 @@ contains
     real(dp) :: bytes
 
     associate (setup => simulation%setup, number => simulation%observer%number)
-      bytes = (bytes_per_particle(setup%engine) - particle_bytes)*number &
+      bytes = (bytes_per_particle(setup%engine, any(setup%table%urn%truncates_passages)) &
+        - particle_bytes)*number &
         + bytes_per_state*size(setup%snapshot_times)*number
       if (setup%series_interval > 0.0_wp .and. setup%duration > 0.0_wp) &
         bytes = bytes + bytes_per_entry*real(setup%duration/setup%series_interval, dp)
