@@ -7,8 +7,8 @@ import re
 from pathlib import Path
 
 HERE = Path(__file__).parent
-# `import postproc` is for open_results
-DOORS = ("postproc.figures.style",)
+# `import postproc` is for public names
+DOORS = ("postproc.circuits", "postproc.figures.style")
 # theories that these compare with runs, and rungs of the ladder
 WHOLE = (
     "postproc.cli",

@@ -41,6 +41,9 @@ module battery_lock_file
   !> Seconds to wait for the end of another owner, and between two attempts.
   real(dp), parameter :: default_patience = 5.0_dp, pause = 0.05_dp
 
+  !> Attempts that may fail for another reason before it is reported.
+  integer, parameter :: most_failures = 3
+
   !> Lock of an output: held by this process, or known to a rank whose rank 0 holds it.
   type :: lock_type
     !> Path of the lock file, and its text while this run owns the output; not allocated: no lock.
@@ -84,7 +87,9 @@ contains
     type(error_type), allocatable :: no_matter
     real(dp) :: last_attempt
     integer(c_int) :: outcome
+    integer :: failures
 
+    failures = 0
     last_attempt = wall_seconds() + default_patience
     if (present(patience)) last_attempt = last_attempt - default_patience + patience
     lock%path = file//'.owner'
@@ -115,9 +120,13 @@ contains
           //'or name another output file', exit_bad_input)
         return
       case default
-        call fatal_error(error, lock%path//': cannot be written: '//system_message(), &
-          merge(exit_failure, exit_bad_input, is_disk_error()))
-        return
+        ! On a network disk another run that takes the lock at this moment may look like this.
+        failures = failures + 1
+        if (failures > most_failures .or. is_disk_error()) then
+          call fatal_error(error, lock%path//': cannot be written: '//system_message(), &
+            merge(exit_failure, exit_bad_input, is_disk_error()))
+          return
+        end if
       end select
       if (stop_requested()) then
         call fatal_error(error, 'stopped while it waited: '//owner_phrase(holder), &

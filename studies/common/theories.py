@@ -9,9 +9,9 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from postproc.circuit_options import circuit_options, given_circuit
+from postproc import circuits
 from postproc.theory import two_port
-from postproc.theory.circuit import transition_width
+from postproc.theory.circuit import PAPERS_AGE, transition_width
 from postproc.theory.models import MODELS, describe
 from postproc.theory.states import Theory
 
@@ -45,12 +45,6 @@ THEORIES = MODELS | {model.name: model for model in _OTHERS}
 
 
 def told(name: str, age: float | None = None, **keys: object) -> dict[str, object]:
-    """Return what the command `theory` would print of a circuit, given by its options."""
-    words = []
-    for key, value in keys.items():
-        values = value if isinstance(value, (list, tuple)) else [value]
-        words += [f"--{key.replace('_', '-')}", *map(str, values)]
-    circuit = given_circuit(circuit_options("theory", None).parse_args(words))
-    if age is not None:
-        circuit = replace(circuit, age=age)
+    """Return what the command `theory` would print of a circuit, given by its keys."""
+    circuit = circuits.Circuit(**keys).model(PAPERS_AGE if age is None else age)
     return describe(circuit, THEORIES[name])
