@@ -79,8 +79,8 @@ demo: build $(POSTPROC) ## builds, runs namelists/quickstart.nml on 2 ranks, dra
 	cd build/demo
 	mpirun -n $(RANKS) $(CURDIR)/$(PROGRAM) --overwrite ../../namelists/quickstart.nml
 	cd ../..
-	$(PYTHON) -m postproc.currents build/demo/quickstart.h5 --output build/demo
-	$(PYTHON) -m postproc.scene build/demo/quickstart.h5 --output build/demo
+	$(POSTPROC) plot flows build/demo/quickstart.h5 --output build/demo
+	$(POSTPROC) plot scene build/demo/quickstart.h5 --output build/demo
 	echo "The pictures are in build/demo:"
 	ls build/demo/*.png
 

@@ -63,7 +63,7 @@ def parser(name: str, description: str | None) -> Parser:
     """Return a parser for the command NAME, described by the module's docstring."""
     installed = Path(sys.argv[0]).name == COMMAND
     return Parser(
-        prog=f"{COMMAND} {name}" if installed else f"python -m postproc.{name}",
+        prog=f"{COMMAND} {name}" if installed else f"python -m postproc {name}",
         description=description,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
@@ -83,8 +83,7 @@ def add_verify(options: argparse.ArgumentParser) -> None:
 
 
 def add_task(options: argparse.ArgumentParser) -> None:
-    """Add a file of results, and `--point` and `--replica` that choose a task in it."""
-    options.add_argument("file", metavar="FILE.h5", type=Path)
+    """Add `--verify`, and `--point` and `--replica` that choose a task."""
     add_verify(options)
     for key, meaning in (("point", "parameter point"), ("replica", "replica")):
         help_text = f"{meaning}, from 1 (default: the first done)"

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from postproc.theory import __main__ as theory
+from postproc.commands import theory
 from studies.common import study
 
 if TYPE_CHECKING:

@@ -84,11 +84,11 @@ figures: build $(POSTPROC) ## every figure of the paper, quick; FULL=1: at the p
 	  mpirun -n $(RANKS) $(CURDIR)/$(PROGRAM) --quiet one_channel_$$plane
 	done
 	cd $(CURDIR)
-	figure() { $(PYTHON) -m postproc.figures "$$1" "$${@:2}" --output $(FIGURES); }
+	figure() { $(POSTPROC) plot "$$1" "$${@:2}" --output $(FIGURES); }
 	figure model
 	figure app1
 	figure numris $(FIGURES)/phase_diagram.h5 $(FIGURES)/phase_diagram_polarised.h5 \
-	  --model window direction
+	  --theory window direction
 	for name in comp05 comp06 comp01; do figure $$name $(FIGURES)/$$name.h5; done
 	for name in app2 app3 app4; do figure $$name $(FIGURES)/single_urn.h5; done
 	figure lifetimes $(FIGURES)/lifetimes_{one,two,long_gate,rare_one,rare_long_gate}.h5

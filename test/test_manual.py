@@ -34,7 +34,7 @@ GOOD = [
     "```fortran\n&scan\n  threshold = 1, 2\n/\n```",
     "```\nmake test FULL=1\n```",
     "```sh\nbuild/bin/battery FILE.nml\n```",
-    "```sh\npython -m postproc.theory --number 10 --threshold 1\n```",
+    "```sh\nbattery-postproc theory --number 10 --threshold 1\n```",
     "```python run\nx = 1\n```\n\n```python run\nprint(x)\n```",
     "```\nprinted, not typed\n```",
 ]
@@ -49,7 +49,7 @@ BAD = [
         if (ROOT / "studies").is_dir()
         else []
     ),  # else all targets may be theirs
-    ("```sh\npython -m postproc.theory --numbr 10\n```", "postproc.theory has no --numbr"),
+    ("```sh\nbattery-postproc theory --numbr 10\n```", "postproc theory has no --numbr"),
     ("```sh\npython -m postproc.alchemy\n```", "postproc.alchemy cannot be called"),
     ("```sh\npython3 test/no_such.py\n```", "there is no test/no_such.py"),
     ("```sh run\nbuild/bin/battery no_such.nml\n```", "exit code 2"),

@@ -11,7 +11,8 @@ import pytest
 from support.program import namelist, run
 
 from postproc.figures import film, scene
-from postproc.reading.results import Results
+from postproc.reading.grid import open_results
+from postproc.reading.points import Points
 from postproc.tests.commands import call
 
 if TYPE_CHECKING:
@@ -142,9 +143,9 @@ def test_pictures_have_all_particles_inside(tmp_path: Path, table: str, engine: 
     (tmp_path / "c.nml").write_text(text)
     ended = run("c.nml", folder=tmp_path)
     assert ended.returncode == 0, ended.stderr
-    with Results(tmp_path / "o.h5") as results:
-        circuit = results.any_circuit(0)
-        snapshots = [results.snapshot(0, 0, index) for index in range(3)]
+    results = Points(open_results(tmp_path / "o.h5"))
+    circuit = results.any_circuit(0)
+    snapshots = [results.snapshot(0, 0, index) for index in range(3)]
     walls = np.vstack(scene.walls(circuit))
     for shot in snapshots:
         x, y = film.flown(circuit, shot, 0.3)

@@ -15,7 +15,8 @@ import numpy as np
 
 from postproc.advice import transients
 from postproc.figures import style
-from postproc.reading.results import Results
+from postproc.reading.grid import open_results
+from postproc.reading.points import Points
 from postproc.theory.models import MODELS
 from studies.accuracy import ladder
 from studies.accuracy.ladder import QUANTITIES, Answer
@@ -66,9 +67,9 @@ def long_runs(study: Study) -> Path:
 
 def total_time(path: Path) -> float:
     """Return the total measured time of runs."""
-    with Results(path) as results:
-        past = results.value("transient_time")
-        return float((results.value("time") - past)[results.done].sum())
+    results = Points(open_results(path))
+    past = results.value("transient_time")
+    return float((results.value("time") - past)[results.done].sum())
 
 
 def reference(study: Study) -> dict[str, Answer]:
@@ -121,19 +122,19 @@ def averages(study: Study) -> list[dict[str, float]]:
         "particles": {"urn1_number": 500},
     }
     rows = []
-    with Results(study.run("battery", "averages", changes)) as results:
-        for point, threshold in enumerate(AVERAGED):
-            time, hits = (results.value(name)[point] for name in ("chi", "chi_collision"))
-            (chi, error), (less, its) = ladder.mean_of(time), ladder.mean_of(hits - time)
-            rows.append(
-                {
-                    "threshold": threshold,
-                    "chi": chi,
-                    "error": error,
-                    "less": less,
-                    "less_error": its,
-                }
-            )
+    results = Points(open_results(study.run("battery", "averages", changes)))
+    for point, threshold in enumerate(AVERAGED):
+        time, hits = (results.value(name)[point] for name in ("chi", "chi_collision"))
+        (chi, error), (less, its) = ladder.mean_of(time), ladder.mean_of(hits - time)
+        rows.append(
+            {
+                "threshold": threshold,
+                "chi": chi,
+                "error": error,
+                "less": less,
+                "less_error": its,
+            }
+        )
     return rows
 
 

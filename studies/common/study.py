@@ -99,12 +99,12 @@ class Study:
         return f90nml.Parser().reads(path.read_text(encoding="utf-8"))
 
     def theory(self, model: str, **keys: object) -> dict[str, object]:
-        """Return the output of `python -m postproc.theory` for a circuit, given by its options."""
-        words = ["--model", model]
+        """Return the output of `battery-postproc theory` for a circuit, given by its options."""
+        words = ["--theory", model]
         for key, value in keys.items():
             values = value if isinstance(value, (list, tuple)) else [value]
             words += [f"--{key.replace('_', '-')}", *([] if value is True else map(str, values))]
-        command = [sys.executable, "-m", "postproc.theory", *words]
+        command = [sys.executable, "-m", "postproc", "theory", *words]
         done = subprocess.run(command, check=False, capture_output=True, text=True, cwd=ROOT)
         if done.returncode:
             raise cli.InputError(f"{' '.join(command[1:])}: {done.stderr.strip()}")
