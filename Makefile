@@ -166,6 +166,7 @@ lint: $(POSTPROC) ## style of the Fortran and the Python sources
 	@$(VENV)/bin/fortitude check --output-format concise src app test docs $(wildcard studies)
 	$(VENV)/bin/ruff check --config postproc/ruff.toml postproc test docs $(wildcard studies)
 	$(VENV)/bin/ruff format --check --config postproc/ruff.toml postproc test docs $(wildcard studies)
+	$(VENV)/bin/mypy --no-error-summary
 
 install: prefix information $(PROGRAM) ## program, library, man page, module file, Python side (not: POSTPROC=0) into PREFIX (default: /usr/local)
 	@prefix=$$(realpath -m -- "$(PREFIX)")

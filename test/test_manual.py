@@ -59,6 +59,16 @@ BAD = [
 ]
 
 
+def test_the_notebook_runs(tmp_path: Path) -> None:
+    """As someone would type it, block by block; it draws five pictures."""
+    fences = Fences(ROOT, tmp_path / "work", tmp_path / "drawn")
+    fences.shown("page.md", (ROOT / "docs/tutorial_python.md").read_text(encoding="utf-8"))
+    assert fences.problems == []
+    assert len(list((tmp_path / "drawn").glob("*.png"))) == 5
+    table = (tmp_path / "work/map.csv").read_text(encoding="utf-8")
+    assert len(table.splitlines()) == 1 + 6 * 4
+
+
 @pytest.mark.parametrize("text", GOOD)
 def test_a_block_that_works_is_no_problem(tmp_path: Path, text: str) -> None:
     assert tried(tmp_path, text) == []

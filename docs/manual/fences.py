@@ -30,7 +30,7 @@ from postproc import launcher
 FENCE = re.compile(r"^( *)```([^\n`]*)\n(.*?)^\1``` *$", re.MULTILINE | re.DOTALL)
 KNOWN = ("cd", "pip", "tail", "head", "grep", "git", "sbatch", "perf")
 FIRST = re.compile(
-    r"(?:\w+=\S+ )*(make|mpirun|fpm|python3?|battery-postproc|build/\S+|\.\./\S+|cd|pip|tail|grep)\b"
+    r"(?:\w+=\S+ )*(make|mpirun|fpm|python3?|battery-\w+|build/\S+|\.\./\S+|cd|pip|tail|grep)\b"
 )
 PLACEHOLDER = re.compile(r"[A-Z][A-Z_]*\b|/some/|\.\.\.|\.h5$|\.nml$|\*")
 PATIENCE = 300.0
@@ -185,10 +185,10 @@ class Fences:
         if name == "fpm":
             sections = (self.root / "fpm.rsp").read_text().split()
             return [f"no {one}" for one in words if one.startswith("@") and one not in sections]
+        if Path(name).name == "battery-postproc":
+            name, words = "python", ["python", "-m", "postproc", *words[1:]]
         if "python" in name and words[1:2] == ["-m"]:
             return self._module(words[2:], folder)
-        if Path(name).name == "battery-postproc":
-            return self._module(["postproc", *words[1:]], folder)
         if name in KNOWN or name == "python3":
             paths = [one for one in words[1:] if "/" in one]
         elif (folder / name).exists() or not self._make([name]):

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import f90nml
+import numpy as np
 
 from postproc import cli
 from postproc.advice import advice
@@ -59,7 +60,7 @@ def advice_on(
     groups: Groups, circuit: Circuit, quantity: str, tolerance: float, pilot_seconds: float
 ) -> Advice:
     """Return advice on a circuit, of which `groups` are what a namelist says."""
-    if quantity != "chi" and float(circuit.channel2_width) == 0.0:
+    if quantity != "chi" and np.all(np.equal(circuit.channel2_width, 0.0)):
         raise cli.InputError(f"without channel 2 there is no {quantity}")
     return advice.advise(groups, circuit, quantity, tolerance, longest=pilot_seconds)
 

@@ -107,7 +107,7 @@ class ResultsFile:
         """Return the datasets of the root or of a group, with the names of their dimensions."""
         inside = "" if group is None else f"{group}/"
         read = {}
-        for name in self._file if group is None else self._found(group):
+        for name in self._file if group is None else self._found(group) or ():
             one = self._found(inside + name)
             if isinstance(one, h5py.Dataset) and name != "event" and _dimensions(one) is not None:
                 read[name] = one

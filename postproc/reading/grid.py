@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-import os
 from collections.abc import Iterable
 from itertools import chain
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import f90nml
@@ -20,7 +20,6 @@ from postproc.theory.models import MODELS, defaults
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
-    from pathlib import Path
 
     from numpy.typing import NDArray
 
@@ -163,9 +162,9 @@ def _of_circuit(circuit: Circuit, model: str, number2: float) -> list[float]:
     """Return a model's results for a circuit that starts with N2, in the order of `THEORY`."""
     known = MODELS[model]
     state = known.reached(circuit, number2)
-    values = (None,) * 3
+    values: list[float | None] = [None] * 3
     if state is not None:
-        values = state.mass_spread, state.net_current, state.net_current_error
+        values = [state.mass_spread, state.net_current, state.net_current_error]
     stable = STABLE.get(known.homogeneous_kind(circuit))
     width = known.theory_of(circuit).transition_width(known.of(circuit))
     return [math.nan if one is None else float(one) for one in (*values, stable, width)]
@@ -191,7 +190,7 @@ def merge(parts: Iterable[str | Path | xr.Dataset]) -> xr.Dataset:
     InputError
         The tables differ in more than lengths: polygons, discs in channel 2, a single urn.
     """
-    given = [one if isinstance(one, xr.Dataset) else open_results(one) for one in parts]
+    given = [dataset_of(one) for one in parts]
     if not given:
         raise InputError("merge: no results are given")
     for name in TABLE:
@@ -207,12 +206,12 @@ def merge(parts: Iterable[str | Path | xr.Dataset]) -> xr.Dataset:
     for name in keys:
         if name not in axes:
             data[name] = _without_idle(data[name].max("replica").variable, axes)
-    for name, one in chain.from_iterable(part.variables.items() for part in given):
-        if name in data and not data[name].attrs:
-            data[name].attrs = one.attrs
-    spreads = {name for one in given for name in one if str(name).endswith("_spread")}
+    for key, one in chain.from_iterable(part.variables.items() for part in given):
+        if key in data and not data[key].attrs:
+            data[key].attrs = one.attrs
+    spreads = {str(key) for part in given for key in part if str(key).endswith("_spread")}
     for name in sorted(spreads):
-        data[name] = mean_error(data[str(name).removesuffix("_spread")])["error"]
+        data[name] = mean_error(data[name.removesuffix("_spread")])["error"]
     data.attrs = _attributes([one.attrs for one in given])
     complete, asked = int((data["task_status"] == COMPLETE).sum()), len(table)
     data.attrs |= {"files": [file for one in given for file in one.attrs["files"]],
@@ -246,9 +245,9 @@ def dataset_of(
     """Return a dataset of one results file, of several, or the dataset that is given."""
     if isinstance(results, xr.Dataset):
         return results
-    if isinstance(results, (str, os.PathLike)):
+    if isinstance(results, (str, Path)):
         return open_results(results, verify=verify)
-    found = [open_results(one, verify=verify) for one in results]
+    found = [open_results(str(one), verify=verify) for one in results]
     return found[0] if len(found) == 1 else merge(found)
 
 
@@ -268,7 +267,8 @@ def selected(data: xr.Dataset, values: dict[str, float]) -> xr.Dataset:
 
 def _independent(table: pd.DataFrame) -> list[str]:
     """Return the parameters that vary, without those that others determine."""
-    chosen, found = [], 1
+    chosen: list[str] = []
+    found = 1
     for name in table:
         if (count := len(table[[*chosen, name]].drop_duplicates())) > found:
             chosen, found = [*chosen, str(name)], count
@@ -348,8 +348,8 @@ def _on_grid(data: xr.Dataset, axes: Axes | None) -> xr.Dataset:
                 [*axes, *rest], columns.reshape(shape + list(columns.shape[1:])), values.attrs
             )
         variables[name] = _without_idle(grid, axes) if name in PARAMETERS else grid
-    for name, (values, about) in axes.items():
-        variables[name] = xr.Variable(name, values, data[name].attrs if name in data else about)
+    for key, (places, about) in axes.items():
+        variables[key] = xr.Variable(key, places, data[key].attrs if key in data else about)
     found = xr.Dataset(variables)
     return found.set_coords([name for name in data.coords if name in found])
 

@@ -35,7 +35,6 @@ PARAMETERS = (
     "number", "threshold", "threshold2", "urn1_number", "urn_radius", "urn_radius2",
     "channel1_width", "channel1_length", "channel2_width", "channel2_length",
 )  # fmt: skip
-LENGTHS = ("channel1_width", "channel2_width", "channel1_length", "channel2_length")
 FLOWS = ("flow1_12", "flow1_21", "flow2_12", "flow2_21")
 COMPLETE, NOT_ASKED = 0, 3  # values of `task_status`
 TWO_STATES = 2  # value of `point_status`
@@ -92,7 +91,7 @@ def mean_error(values: xr.DataArray, own_error: xr.DataArray | None = None) -> x
     >>> round(float(found["mean"]), 3), round(float(found["error"]), 3), int(found["replicas"])
     (0.25, 0.05, 2)
     """
-    good = np.isfinite(values)
+    good = values.notnull() & (abs(values) < math.inf)
     count = good.sum("replica")
     scatter = values.where(count > 1).std("replica", ddof=1) / np.sqrt(count.where(count > 1))
     if own_error is not None:
@@ -135,7 +134,7 @@ class Points:
     def __init__(self, data: xr.Dataset) -> None:
         """Take a dataset of `open_results` or `merge`, or a part of one."""
         self.attrs, self.data = data.attrs, flat(data)
-        names = [name for name in data["task"].dims if name not in ("replica", "point")]
+        names = [str(name) for name in data["task"].dims if name not in ("replica", "point")]
         self._set(names or [name for name in PARAMETERS if name in self.data])
         self._open: dict[str, ResultsFile] = {}
         self._held: ExitStack | None = None
@@ -317,19 +316,24 @@ class Points:
         """Return the circuit of a point, whose urns and gates may be unequal."""
         self._check_task(point, 0)
         values = {name: float(self.value(name)[point])
-                  for name in (*PARAMETERS, *LENGTHS) if self.has(name)}  # fmt: skip
+                  for name in PARAMETERS if self.has(name)}  # fmt: skip
         threshold, radius = int(values["threshold"]), values["urn_radius"]
         other, beyond = int(values.get("threshold2", threshold)), values.get("urn_radius2", radius)
+        outline, other_outline = self._outlines((radius, beyond))
         return Circuit(
             number=int(values["number"]),
             threshold=threshold,
             urn_radius=radius,
             urn2_radius=beyond if beyond != radius else None,
             gate2_threshold=other if other != threshold else None,
-            **{name: values[name] for name in LENGTHS},
+            channel1_width=values["channel1_width"],
+            channel2_width=values["channel2_width"],
+            channel1_length=values["channel1_length"],
+            channel2_length=values["channel2_length"],
             shape=self.shape,
             scatterers=self.scatterers,
-            **self._outlines((radius, beyond)),
+            outline=outline,
+            urn2_outline=other_outline if other_outline != outline else None,
             age=self._age(point),
         )
 
@@ -345,17 +349,16 @@ class Points:
         age = float(f"{0.5 * sum(ends):.2g}")
         return age if age >= 0.0 and math.isfinite(age) else PAPERS_AGE
 
-    def _outlines(self, radii: tuple[float, float]) -> dict[str, Outline | None]:
+    def _outlines(self, radii: tuple[float, float]) -> tuple[Outline | None, Outline | None]:
         """Return the outlines of urns that are polygons, from their radii if they are regular."""
         if self.attrs.get("urn_shape", "disc") == "disc":
-            return {}
+            return None, None
         if "urn_sides" in self.attrs:
             sides = int(self.attrs["urn_sides"])
-            one, two = (regular(sides, radius) for radius in radii)
-        else:
-            one, two = (outline_of(np.reshape(self.attrs[name], (-1, 2)))
-                        for name in ("urn_vertices", "urn2_vertices"))  # fmt: skip
-        return {"outline": one, "urn2_outline": two if two != one else None}
+            return regular(sides, radii[0]), regular(sides, radii[1])
+        one, two = (outline_of(np.reshape(self.attrs[name], (-1, 2)))
+                    for name in ("urn_vertices", "urn2_vertices"))  # fmt: skip
+        return one, two
 
     def beyond_theory(self, point: int) -> bool:
         """Tell whether a table has scatterers or unequal sides: no theory of figures applies."""
@@ -386,7 +389,8 @@ class Points:
         with ExitStack() as stack:
             if path not in self._open:
                 self._open[path] = (self._held or stack).enter_context(ResultsFile(Path(path)))
-                stack.callback(lambda: self._held or self._open.clear())
+                if not self._held:
+                    stack.callback(self._open.clear)
             opened = self._open[path]
             stack.enter_context(opened.told())
             created = opened.attributes.get("created")
