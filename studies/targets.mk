@@ -2,7 +2,7 @@
 
 .PHONY: bench probes accuracy experiments figures
 
-bench: build/bin/bench $(POSTPROC) ## the speed tables, JSON in build/bench; BASE=COMMIT: ratios to a commit of ours
+bench: build/bin/bench $(COMMANDS) ## the speed tables, JSON in build/bench; BASE=COMMIT: ratios to a commit of ours
 	@if [[ -n "$(BASE)" ]]; then
 	  commit=$$(git rev-parse --quiet --verify --short=10 "$(BASE)^{commit}") || {
 	    echo "BASE=$(BASE): no such commit of this repository" >&2
@@ -54,12 +54,12 @@ build/bin/renewal_closure build/bin/renewal_gate: build/bin/%: FORCE | libraries
 	@export FPM_FFLAGS="$(RELEASE_FLAGS)" FPM_LDFLAGS="$(RELEASE_LINK)"
 	$(call beside,$*,$(MARCH),studies/renewal_gate/programs)
 
-accuracy: build probes $(POSTPROC) ## the speed-accuracy charts and the stability tables; FULL=1: long runs
+accuracy: build probes $(COMMANDS) ## the speed-accuracy charts and the stability tables; FULL=1: long runs
 	@for study in accuracy trajectories gated_reversal; do
 	  $(PYTHON) -m studies.$$study.study --ranks $(RANKS) $(if $(filter-out 0,$(FULL)),--full)
 	done
 
-experiments: build $(POSTPROC) ## five experiments that decide whether urns remember; FULL=1: long runs
+experiments: build $(COMMANDS) ## five experiments that decide whether urns remember; FULL=1: long runs
 	@$(PYTHON) -m studies.experiments.study --ranks $(RANKS) $(if $(filter-out 0,$(FULL)),--full)
 
 # Runs behind the figures; quick ones have a tenth of the collisions (lifetimes take their time).
@@ -72,7 +72,7 @@ SHORTEN := $(if $(filter-out 0,$(FULL)),,s/(collisions *= *[0-9]+)0$$/\1/)
 PLANES  := $(notdir $(wildcard namelists/one_channel/*.nml))
 COARSEN := $(if $(filter-out 0,$(FULL)),,s/, (50|19)$$/, 10/)
 
-figures: build $(POSTPROC) ## every figure of the paper, quick; FULL=1: at the paper's own length
+figures: build $(COMMANDS) ## every figure of the paper, quick; FULL=1: at the paper's own length
 	@mkdir -p $(FIGURES)
 	cd $(FIGURES)
 	for case in $(CASES); do
@@ -84,7 +84,7 @@ figures: build $(POSTPROC) ## every figure of the paper, quick; FULL=1: at the p
 	  mpirun -n $(RANKS) $(CURDIR)/$(PROGRAM) --quiet one_channel_$$plane
 	done
 	cd $(CURDIR)
-	figure() { $(POSTPROC) plot "$$1" "$${@:2}" --output $(FIGURES); }
+	figure() { $(COMMANDS) plot "$$1" "$${@:2}" --output $(FIGURES); }
 	figure model
 	figure app1
 	figure numris $(FIGURES)/phase_diagram.h5 $(FIGURES)/phase_diagram_polarised.h5 \
