@@ -272,7 +272,7 @@ def draw_characteristic(axes: Axes, points: Points, models: Sequence[Model]) -> 
     points = points.where(np.argsort(points.column(across), kind="stable"))
     current, error = points.mean("polarised_current")
     voltage, deviation = voltage_of(*points.mean("chi"))
-    shown = axes.errorbar(current, voltage, deviation, error, fmt="o-", color=style.BLUE,
+    shown = axes.errorbar(current, voltage, deviation, error, fmt="o", color=style.BLUE,
                           mfc="none", ms=3.8, lw=0.7, label="$U$, measured")  # fmt: skip
     right = axes.twinx()
     power, look = current * voltage, {"color": style.ORANGE, "ms": 3.4, "lw": 0.7}
