@@ -78,10 +78,9 @@ demo: build $(COMMANDS) ## builds, runs namelists/quickstart.nml on 2 ranks, dra
 	@mkdir -p build/demo
 	cd build/demo
 	mpirun -n $(RANKS) $(CURDIR)/$(PROGRAM) --overwrite ../../namelists/quickstart.nml
+	for name in flows scene; do $(CURDIR)/$(COMMANDS) plot $$name quickstart.h5 > log; done
+	echo "The results are build/demo/quickstart.h5, the pictures:"
 	cd ../..
-	$(COMMANDS) plot flows build/demo/quickstart.h5 --output build/demo
-	$(COMMANDS) plot scene build/demo/quickstart.h5 --output build/demo
-	echo "The pictures are in build/demo:"
 	ls build/demo/*.png
 
 test: build $(COMMANDS) ## builds, runs the tests; at the end "N passed, M failed"; FULL=1: all, also slow ones
@@ -96,8 +95,9 @@ cluster: build $(COMMANDS) ## as root: a Slurm of two nodes here runs the exampl
 # What a user may say: docs/install.md.
 build: libraries $(fpm) information ## builds build/bin/battery and installs the Python side (not: POSTPROC=0) in build/venv; MPI=mpich MARCH=x86-64-v3 HDF5=DIR FC= MPIFC= GSL= FPM=
 	@export FPM_FFLAGS="$(RELEASE_FLAGS)" FPM_LDFLAGS="$(RELEASE_LINK)"
-	# fpm names each file that it copies.
-	flock build/.lock $(fpm) install --prefix $(BUILT) | sed '/^# /d'
+	echo "Building $(PROGRAM) (log: $(BUILT)/log)"
+	mkdir -p $(BUILT)
+	flock build/.lock $(fpm) install --prefix $(BUILT) > $(BUILT)/log 2>&1 || { cat $(BUILT)/log >&2; exit 1; }
 	[[ "$(POSTPROC)" == 0 ]] || $(MAKE) $(COMMANDS) || {
 	  echo "The program is complete: $(PROGRAM). Its Python side needs packages that pip could not get;"
 	  echo "make build POSTPROC=0 leaves it out."
