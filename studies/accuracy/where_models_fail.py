@@ -16,6 +16,7 @@ import numpy as np
 
 import postproc
 from postproc.figures import style
+from postproc.theory.models import MODELS
 from studies.accuracy import ladder
 
 if TYPE_CHECKING:
@@ -28,7 +29,6 @@ if TYPE_CHECKING:
 POLARISED = 0.3  # chi above which a state is called so
 BOUNDS = (0.01, 0.03, 0.1)
 COLOURS = ("tab:green", "gold", "tab:orange", "tab:red")
-THEORIES = [model.name for model in ladder.theories()]
 QUICK = (4, 10, 16)  # thresholds of quick runs
 # changes of the map for an engine: a fixed step costs a hundred times as much
 COARSE = {"threshold": [4, 6, 8, 10, 12, 14, 16], "replicas": 1}
@@ -90,7 +90,7 @@ def of_theory(model: str, points: list[tuple[int, float]]) -> Points:
     found = {}
     for at in points:
         circuit = replace(ladder.BATTERY, threshold=at[0], channel2_width=at[1])
-        stable = THEORIES[model].solve_stable(circuit)
+        stable = MODELS[model].solve_stable(circuit)
         state = max(stable, key=lambda one: one.mass_spread, default=None)
         chi, current = (state.mass_spread, state.net_current) if state else (0.0, 0.0)
         found[at] = chi, abs(current) / chi if chi > 0.0 else math.nan
@@ -192,7 +192,7 @@ def table(rows: list[dict[str, float | str]]) -> list[str]:
 def run(work: Study) -> None:
     """Make the table and the picture of the page; print the numbers of points within bounds."""
     truth, errors = of_runs(run_map(work))
-    answers = {name: theory_at(work, name, [*truth]) for name in THEORIES}
+    answers = {name: theory_at(work, name, [*truth]) for name in ladder.THEORIES}
     answers |= {name: of_runs(run_map(work, name))[0] for name in LENGTHS}
     rows = rows_of(truth, errors, answers)
     work.table("where_models_fail", list(rows[0]),
