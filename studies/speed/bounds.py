@@ -13,7 +13,7 @@ from rich.table import Table
 from postproc import cli
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Iterable, Iterator, Sequence
 
 FORMAT = "battery-bench-1"
 RATES = {
@@ -167,23 +167,29 @@ def value_text(value: float) -> str:
     return f"{value:.2e}".replace("e+0", "e") if abs(value) >= 1e4 else f"{value:.4g}"
 
 
+def printed(title: str, rows: Iterable[Sequence[str]], *heads: str) -> Table:
+    """Return a table whose columns but the first and those without a head are right-aligned."""
+    table = Table(title=title, title_justify="left", caption_justify="left", box=box.SIMPLE,
+                  pad_edge=False, collapse_padding=True)  # fmt: skip
+    for at, head in enumerate(heads):
+        table.add_column(head, justify="right" if at and head else "left", no_wrap=True)
+    for row in rows:
+        table.add_row(*row)
+    return table
+
+
 def summary(found: Sequence[Figure]) -> Table:
     """Return the figures beside their bounds."""
-    table = Table(
-        title="What must be reached", title_justify="left", caption_justify="left",
-        box=box.SIMPLE, pad_edge=False, collapse_padding=True,
-    )  # fmt: skip
-    table.add_column("figure", no_wrap=True)
-    for name in ("median", "least", "most", "bound", "aim"):
-        table.add_column(name, justify="right", no_wrap=True)
-    table.add_column("", no_wrap=True)
     verdicts = {True: "[green]reached", False: "[red bold]NOT reached", None: "not measured"}
+    rows = []
     for one in found:
         seen = ["", "", ""]
         if one.values:
             seen = [value_text(of(one.values)) for of in (statistics.median, min, max)]
         bound = f"{'>=' if one.at_least else '<='} {value_text(one.bound)}"
         aim = "" if one.aim is None else value_text(one.aim)
-        table.add_row(one.name, *seen, bound, aim, verdicts[one.reached])
+        rows.append([one.name, *seen, bound, aim, verdicts[one.reached]])
+    heads = ("figure", "median", "least", "most", "bound", "aim", "")
+    table = printed("What must be reached", rows, *heads)
     table.caption = "\n".join(f"{one.name}: {one.note}" for one in found if one.note)
     return table

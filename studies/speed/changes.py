@@ -8,30 +8,16 @@ import statistics
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from rich import box
-from rich.table import Table
-
 from postproc import cli
-from studies.speed.bounds import FORMAT, RATES, SUBJECTS, Figure, Rows
+from studies.speed.bounds import FORMAT, RATES, SUBJECTS, Figure, Rows, printed
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
+    from rich.table import Table
+
     from studies.speed.bounds import Key
-
-
-def parsed(path: Path) -> dict[str, Any]:
-    """Read JSON with the rows of a benchmark."""
-    try:
-        found = json.loads(cli.existing_file(path).read_text())
-    except OSError as problem:
-        raise cli.InputError(f"{path}: {problem.strerror}") from problem
-    except ValueError as problem:
-        raise cli.InputError(f"{path}: not JSON") from problem
-    if not isinstance(found, dict) or not isinstance(found.get("rows"), list):
-        raise cli.InputError(f"{path}: not the JSON of a benchmark")
-    return found
 
 
 # A figure measured once (memory, instructions) has no spread; a smaller difference is no change.
@@ -50,8 +36,11 @@ class Run:
 
 def load(path: Path) -> Run:
     """Read a file of `run`; raise `InputError` if it is none, or has a value that is no rate."""
-    found = parsed(path)
-    if found.get("format") != FORMAT:
+    try:
+        found = json.loads(cli.existing_file(path).read_text())
+    except (OSError, ValueError) as problem:
+        raise cli.InputError(f"{path}: no JSON that can be read: {problem}") from problem
+    if not isinstance(found, dict) or found.get("format") != FORMAT:
         raise cli.InputError(f"{path}: not the JSON of a benchmark ({FORMAT})")
     try:
         rows = Rows(found["rows"])
@@ -139,13 +128,7 @@ def changes(old: Run, new: Run) -> list[tuple[str, list[Change]]]:
 
 def table_of(title: str, found: Sequence[Change]) -> Table:
     """Return changes as a table."""
-    table = Table(title=title, box=box.SIMPLE, title_justify="left")
-    table.add_column("", no_wrap=True)
-    for name in ("new/old", "least", "most"):
-        table.add_column(name, justify="right", no_wrap=True)
-    table.add_column("", no_wrap=True)
     colours = {"better": "[green]better", "worse": "[red bold]worse", "": ""}
-    for one in found:
-        ratios = (f"{value:.3f}" for value in (one.ratio, one.least, one.most))
-        table.add_row(one.name, *ratios, colours[one.mark])
-    return table
+    rows = [[one.name, *(f"{value:.3f}" for value in (one.ratio, one.least, one.most)),
+             colours[one.mark]] for one in found]  # fmt: skip
+    return printed(title, rows, "figure", "new/old", "least", "most", "")
