@@ -127,10 +127,10 @@ def _slopes(state: Floats, mu: Floats, nu: float) -> Floats:
     """Return the time derivative of the moments."""
     order = state.ndim - 1
     out = _untagged(state, mu)
-    slope = -nu * state - out
+    slope = -(nu + sum(np.meshgrid(*[mu] * order, indexing="ij", sparse=True))) * state
+    slope -= out
     slope[:-1] += out[1:]
     slope[1:] += nu * state[:-1]
-    slope -= sum(np.meshgrid(*[mu] * order, indexing="ij", sparse=True)) * state
     for axis in range(1, order + 1):  # entries into the newest cell
         newest, none = ([slice(1, None)] + [slice(None)] * order for _ in range(2))
         newest[axis], none[axis] = -1, 0
@@ -145,39 +145,37 @@ def _untagged(state: Floats, mu: Floats) -> Floats:
     A moment that does not specify all has it from the next one; the highest by the closure.
     """
     order = state.ndim - 1
-    n = np.arange(len(state)).reshape(-1, *[1] * order)
-    chance = state[(slice(None), *[slice(1)] * order)]
-    known = chance > LEAST
-    unit = np.where(known, chance, 1.0)
-    one, two, three = (np.maximum(unit * np.prod([n - k for k in range(m)], axis=0), unit)
-                       for m in (1, 2, 3))  # fmt: skip
-    mine = mu[1:]
-    single = state[(slice(None), slice(1, None), *[0] * (order - 1))] / one.reshape(-1, 1)
-    pair = state[(slice(None), slice(1, None), slice(1, None), *[0] * (order - 2))]
-    pair = pair / two.reshape(-1, 1, 1)
-    joint = pair - single[:, :, None] * single[:, None, :]
-    mean, drift = single @ mine, joint @ mine
+    one_less = state @ mu
     out = np.empty_like(state)
-    if order == 2:
-        found = (pair * mean[:, None, None] + drift[:, :, None] * single[:, None, :]
-                 + single[:, :, None] * drift[:, None, :])  # fmt: skip
-        factor = n * (n - 1.0) * (n - 2.0)
-    else:
-        triple = state[:, 1:, 1:, 1:] / three
-        moved = (triple @ mine - joint * mean[:, None, None] - mean[:, None, None]
-                 * single[:, :, None] * single[:, None, :] - drift[:, :, None] * single[:, None, :]
-                 - single[:, :, None] * drift[:, None, :])  # fmt: skip
-        found = mean[:, None, None, None] * triple
-        for whole, part in ((pair, drift), (moved, single)):
-            found = found + (part[:, :, None, None] * whole[:, None, :, :]
-                             + part[:, None, :, None] * whole[:, :, None, :]
-                             + part[:, None, None, :] * whole[:, :, :, None])  # fmt: skip
-        factor = n * (n - 1.0) * (n - 2.0) * (n - 3.0)
-    out[(slice(None), *[slice(1, None)] * order)] = np.where(known, factor * chance * found, 0.0)
     for axis in range(1, order + 1):
-        place = [slice(None)] * (order + 1)
-        place[axis] = 0
-        out[tuple(place)] = np.tensordot(state, mu, (axis, 0))
+        np.moveaxis(out, axis, 1)[:, 0] = one_less
+    n = np.arange(len(state), dtype=float)
+    chance = state[(slice(None), *[0] * order)]
+    falling = [np.prod([n - k for k in range(m)], axis=0) for m in range(order + 2)]
+    unit = [np.where(chance > LEAST, chance, 1.0) * np.maximum(one, 1.0) for one in falling]
+    scale = np.where(chance > LEAST, chance * falling[order + 1], 0.0)
+    cells, rest = slice(1, None), [0] * (order - 2)
+    single = state[(slice(None), cells, 0, *rest)] / unit[1][:, None]
+    pair = state[(slice(None), cells, cells, *rest)] / unit[2][:, None, None]
+    mean = one_less[(slice(None), 0, *rest)] / unit[1]
+    drift = one_less[(slice(None), cells, *rest)] / unit[2][:, None] - mean[:, None] * single
+    inner = out[(slice(None), *[cells] * order)]
+    weight = (scale * mean / unit[order]).reshape(-1, *[1] * order)
+    inner[:] = weight * state[(slice(None), *[cells] * order)]
+    along = drift[:, :, None] * single[:, None, :]
+    along += along.transpose(0, 2, 1)
+    if order == 2:
+        inner += scale[:, None, None] * along
+        return out
+    moved = one_less[:, 1:, 1:] / unit[3][:, None, None] - mean[:, None, None] * pair - along
+    sizes = pair.shape
+    left = scale[:, None, None] * np.stack([drift, single], axis=2)
+    right = np.stack([pair, moved], axis=1)
+    inner += (left @ right.reshape(sizes[0], 2, -1)).reshape(inner.shape)
+    every = (np.broadcast_to(one[:, None], sizes) for one in (drift, single))
+    parts = [*every, pair, moved]
+    left = scale[:, None, None, None] * np.stack(parts, axis=3)
+    inner += left @ np.stack([parts[k] for k in (2, 3, 0, 1)], axis=2)
     return out
 
 

@@ -120,7 +120,7 @@ def rows_of(title: str, rows: Rows, name: str) -> Table:
         ])  # fmt: skip
     cost = f"{SUBJECTS.get(name, 'collisions')}, cost over the first"
     return printed(title, lines, "engine", "N", "T", "w", "w'", "collisions/s", "", "visits/s",
-                   "ns/(time, particle)", cost, "")  # fmt: skip
+                   "ns a time and particle", cost, "")  # fmt: skip
 
 
 def processor() -> str:

@@ -172,7 +172,7 @@ def printed(title: str, rows: Iterable[Sequence[str]], *heads: str) -> Table:
     table = Table(title=title, title_justify="left", caption_justify="left", box=box.SIMPLE,
                   pad_edge=False, collapse_padding=True)  # fmt: skip
     for at, head in enumerate(heads):
-        table.add_column(head, justify="right" if at and head else "left", no_wrap=True)
+        table.add_column(head, justify="right" if at and head else "left", no_wrap=not at)
     for row in rows:
         table.add_row(*row)
     return table
