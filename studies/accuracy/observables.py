@@ -19,6 +19,7 @@ from postproc.reading.results import Results
 from postproc.theory.models import MODELS
 from studies.accuracy import ladder
 from studies.accuracy.ladder import QUANTITIES, Answer
+from studies.common.numbers import with_errors
 from studies.common.text import measured, number, seconds
 
 if TYPE_CHECKING:
@@ -124,16 +125,8 @@ def averages(study: Study) -> list[dict[str, float]]:
     with Results(study.run("battery", "averages", changes)) as results:
         for point, threshold in enumerate(AVERAGED):
             time, hits = (results.value(name)[point] for name in ("chi", "chi_collision"))
-            (chi, error), (less, its) = ladder.mean_of(time), ladder.mean_of(hits - time)
-            rows.append(
-                {
-                    "threshold": threshold,
-                    "chi": chi,
-                    "error": error,
-                    "less": less,
-                    "less_error": its,
-                }
-            )
+            seen = with_errors(chi=time, less=hits - time)
+            rows.append({"threshold": threshold, "error": seen.pop("chi_error"), **seen})
     return rows
 
 

@@ -24,6 +24,7 @@ from postproc.theory.circuit import Circuit
 from postproc.theory.direction import transfer
 from postproc.theory.visits import visits
 from studies.common import study
+from studies.common.numbers import mean_of
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -71,10 +72,6 @@ def drawn(width1: float, width2: float, count: int) -> dict[str, Floats]:
             "stay": found[ended, 4]}  # fmt: skip
 
 
-def _mean(values: Floats) -> tuple[float, float]:
-    return float(values.mean()), float(values.std() / math.sqrt(values.size))
-
-
 def _change(sine: Floats, other: Floats) -> Floats:
     """Return the change of the angle to the channel between entry and exit."""
     return np.abs(np.arcsin(sine) - np.arcsin(other))
@@ -86,18 +83,18 @@ def measured(found: dict[str, Floats], width1: float) -> dict[str, tuple[float, 
     second = math.sqrt(5.0) * (1.5 * np.stack([found["sine"], found["out_sine"]]) ** 2 - 0.5)
     product = second[0] * second[1]
     values = {
-        "a": _mean(out[into == 1] == 1),
-        "P11": _mean(out[into == 0] == 0),
-        "t1": _mean(found["stay"][into == 0]),
-        "t2": _mean(found["stay"][into == 1]),
+        "a": mean_of(out[into == 1] == 1),
+        "P11": mean_of(out[into == 0] == 0),
+        "t1": mean_of(found["stay"][into == 0]),
+        "t2": mean_of(found["stay"][into == 1]),
     }
     back = (into == 0) & (out == 0)
     change = _change(found["sine"][back], found["out_sine"][back])
-    values["D"] = _mean(0.5 * (change / width1) ** 2)
+    values["D"] = mean_of(0.5 * (change / width1) ** 2)
     for one in (0, 1):
         for other in (0, 1):
             went = np.where(out[into == one] == other, product[into == one], 0.0)
-            values[f"K{one + 1}{other + 1}"] = _mean(went)
+            values[f"K{one + 1}{other + 1}"] = mean_of(went)
     return values
 
 

@@ -195,11 +195,6 @@ def run(work: Study) -> None:
     answers = {name: theory_at(work, name, [*truth]) for name in ladder.THEORIES}
     answers |= {name: of_runs(run_map(work, name))[0] for name in LENGTHS}
     rows = rows_of(truth, errors, answers)
-    work.table("where_models_fail", list(rows[0]),
-               [[_text(one) for one in row.values()] for row in rows])  # fmt: skip
+    work.rows("where_models_fail", rows)
     work.draw(figure(rows), "where_models_fail")
     print(*table(rows), sep="\n")
-
-
-def _text(value: object) -> str:
-    return f"{value:.5g}" if isinstance(value, float) else str(value)

@@ -23,7 +23,7 @@ from postproc.theory.gates import WINDOW
 from postproc.theory.renewal import RENEWAL
 from postproc.theory.states import stable_state
 from studies.common import geometry, study
-from studies.common.event_log import mean_of_groups
+from studies.common.numbers import mean_of
 from studies.common.study import NAMELISTS
 
 if TYPE_CHECKING:
@@ -36,7 +36,7 @@ NARROW, WIDE = 0.01, 0.2  # w' of the circuits with polygons, and with discs in 
 
 def plain(width: float) -> float:
     """Return the flow of channel 2 at chi = 1 between well mixed urns, N = 1000, w = 0.3."""
-    return 1000.0 * width / (math.pi * float(Circuit(1000, 7, channel2_width=width).urn_area))
+    return 1000.0 * width / (math.pi * geometry.urn_area(width))
 
 
 def made(
@@ -50,7 +50,7 @@ def made(
 
 def mean(values: np.ndarray) -> str:
     """Return mean and standard error of replicas as text."""
-    return "{:.4g} +- {:.2g}".format(*mean_of_groups(values))
+    return "{:.4g} +- {:.2g}".format(*mean_of(values))
 
 
 def of_namelist(work: study.Study, name: str) -> xr.Dataset:
@@ -98,7 +98,7 @@ def one_channel(work: study.Study) -> None:
     for name in ("paper_one_channel", "one_channel_starts"):
         data = of_namelist(work, name)
         number, threshold = int(data.number), int(data.threshold)
-        area = float(Circuit(number, threshold, 0.5, 0.0).urn_area)
+        area = geometry.urn_area(0.0, 0.5)
         for length in data.channel1_length.to_numpy():
             chi = data.chi.sel(channel1_length=length).transpose(..., "replica").to_numpy()
             text = " and ".join(map(mean, chi.reshape(-1, chi.shape[-1])))
