@@ -156,6 +156,11 @@ def transition_answer(path: Path) -> tuple[Answer, dict[str, list[float]]]:
     return Answer(value, error, seconds), {name: list(one) for name, one in shown.items()}
 
 
+def least_cost(line: dict, quantity: str) -> float:
+    """Return the CPU time of one short run (of each T of the transition)."""
+    return line["per_time"] * SHORTEST * (len(SCANNED) if quantity == "transition" else 1)
+
+
 def stem(rung: Rung) -> str:
     """Return a rung's name for names of files."""
     return rung.name.replace(" ", "_").replace(".", "p")

@@ -19,7 +19,7 @@ import numpy as np
 from postproc.advice.advice import HALFWAY
 from postproc.advice.transients import of_chi
 from postproc.reading.results import Results
-from studies.accuracy import ladder, ladder_map_figure
+from studies.accuracy import charts, ladder
 from studies.accuracy.ladder import BATTERY, LONGER, QUANTITIES, RUNGS
 from studies.accuracy.ladder_errors import SURE, TOLERANCES, cancelling, cheapest
 from studies.common.text import number, percent, seconds
@@ -324,4 +324,4 @@ def run(study: Study) -> None:
     }
     study.keep("ladder_map", numbers)
     tables(study, numbers)
-    study.draw(ladder_map_figure.figure(rows), "ladder_map")
+    study.draw(charts.figure_map(rows), "ladder_map")

@@ -6,7 +6,6 @@ Each part makes runs, and prints numbers with standard errors over replicas:
 - slices: chi over T, and current over chi, of paper_slice.nml (15 s);
 - single: what eq. (eqapp5) adds to the current of the single urn, by w and T (5 s);
 - one_channel: chi against N w l/(8 T A) without channel 2 (25 s);
-- averages: chi over time and over wall collisions, from the same runs (8 s of a processor);
 - polygons: currents of four shapes of urns at T = 7 (5 s);
 - discs: current over chi with 15 discs in channel 2 (5 s), and both starts at N = 4000 (30 s).
 """
@@ -105,18 +104,6 @@ def one_channel(work: study.Study) -> None:
             print(f"N = {number}, {number * 0.5 * length / (8.0 * threshold * area):.3f}: {text}")
 
 
-def averages(work: study.Study) -> None:
-    """Print chi averaged over time, and the difference of averages over wall collisions."""
-    data = made(work, "averages", {"engine": "collision", "duration": 4000.0,
-                                     "transient_duration": 500.0},
-                {"threshold": [2, 7, 14, 18], "replicas": 8},
-                table={"channel2_width": 0.01})  # fmt: skip
-    for threshold in data.threshold.to_numpy():
-        here = data.sel(threshold=threshold)
-        apart = (here.chi_collision - here.chi).to_numpy()
-        print(f"T = {threshold}: chi {mean(here.chi.to_numpy())}, by collisions {mean(apart)} more")
-
-
 def polygons(work: study.Study) -> None:
     """Print chi and current of four shapes of one area, and over that of well mixed urns."""
     state = stable_state(Circuit(1000, 7, gate=RENEWAL, occupation=True))
@@ -152,7 +139,7 @@ def discs(work: study.Study) -> None:
               "from even urns and from one full urn")  # fmt: skip
 
 
-PARTS = (flows, slices, single, one_channel, averages, polygons, discs)
+PARTS = (flows, slices, single, one_channel, polygons, discs)
 
 if __name__ == "__main__":
     raise SystemExit(study.main(__file__, __doc__, {part.__name__: part for part in PARTS}))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -142,13 +141,7 @@ def checks(gate: RenewalGate, shares: Floats, errors: Floats) -> list[dict[str, 
 
 def read_solutions(path: Path) -> tuple[Floats, Floats]:
     """Read a file of `--data`: the rows of the grid, and the share of each."""
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("error")  # it only warns of an empty file
-            table = np.loadtxt(existing_file(path), delimiter=",", ndmin=2)
-    except (ValueError, UserWarning) as problem:
-        raise InputError(f"{path}: not the numbers of a fit: {problem}") from problem
-    wanted = (len(grid()), grid().shape[1] + 1)
-    if table.shape != wanted or not np.isfinite(table).all():
-        raise InputError(f"{path}: not the {wanted[0]} rows of {wanted[1]} numbers of a fit")
+    table, rows = np.loadtxt(existing_file(path), delimiter=",", ndmin=2), len(grid())
+    if table.shape != (rows, 5) or not np.isfinite(table).all():
+        raise InputError(f"{path}: not the {rows} rows of 5 numbers of a fit")
     return table[:, :-1], table[:, -1]

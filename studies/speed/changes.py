@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import json
-import math
 import statistics
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from postproc import cli
-from studies.speed.bounds import FORMAT, RATES, SUBJECTS, Figure, Rows, printed
+from studies.speed.bounds import FORMAT, SUBJECTS, Figure, Rows, printed
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -35,31 +34,18 @@ class Run:
 
 
 def load(path: Path) -> Run:
-    """Read a file of `run`; raise `InputError` if it is none, or has a value that is no rate."""
+    """Read a file of `run`; raise `InputError` if it is none."""
     try:
         found = json.loads(cli.existing_file(path).read_text())
-    except (OSError, ValueError) as problem:
-        raise cli.InputError(f"{path}: no JSON that can be read: {problem}") from problem
-    if not isinstance(found, dict) or found.get("format") != FORMAT:
-        raise cli.InputError(f"{path}: not the JSON of a benchmark ({FORMAT})")
-    try:
-        rows = Rows(found["rows"])
+        if found["format"] != FORMAT:
+            raise ValueError(f"its format is not {FORMAT}")
         reached = {
-            one["name"]: Figure(
-                one["name"], tuple(map(float, one["values"])), float(one["bound"]), one["at_least"]
-            )
+            one["name"]: Figure(one["name"], tuple(one["values"]), one["bound"], one["at_least"])
             for one in found["figures"]
         }
-        seen = [value for one in reached.values() for value in one.values]
-        seen += [value for key in rows for rate in RATES for value in rows.rates(key, rate)]
-        for key in rows:
-            rows.costs(key)
-        if not all(value > 0.0 and math.isfinite(value) for value in seen):
-            raise ValueError("a value that is not positive")
-    except (KeyError, TypeError, ValueError, ZeroDivisionError) as problem:
-        reason = f"{type(problem).__name__}: {problem}"
-        raise cli.InputError(f"{path}: a damaged benchmark ({reason})") from problem
-    return Run(path, found, rows, reached)
+        return Run(path, found, Rows(found["rows"]), reached)
+    except (OSError, KeyError, TypeError, ValueError) as problem:
+        raise cli.InputError(f"{path}: not the JSON of a benchmark: {problem}") from problem
 
 
 @dataclass(frozen=True)
