@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import json
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -45,46 +45,12 @@ if TYPE_CHECKING:
 
 THEORIES = ("window", "renewal")  # of well mixed urns
 POLARISED = 0.15
+COLUMNS = ("points", "right_phase", "chi", "upper_chi", "current", "measured_chi")
 FLOWS = ("dense1", "sparse1", "dense2", "sparse2")
 
 
-@dataclass(frozen=True)
-class Comparison:
-    """Differences of a theory from runs.
-
-    Attributes
-    ----------
-    theory : its name.
-    points : number of compared points.
-    right_phase : share of them at which the theory has the right phase, homogeneous or polarised.
-    chi : mean of |measured - expected chi| over polarised points.
-    upper_chi : the same over those with T above that of the largest chi of their N, w and w'.
-    current : root mean square of (theory - measured)/theory of the net current over them; for the
-        single urn, of its current.
-    measured_chi : mean of the standard errors of chi there, a lower bound of the difference.
-    dense1, sparse1, dense2, sparse2 : measured flows over expected ones at the measured spread, of
-        the dense and the sparse urn through channels 1 and 2, summed over polarised points.
-    """
-
-    theory: str
-    points: int
-    right_phase: float
-    chi: float
-    upper_chi: float
-    current: float
-    measured_chi: float
-    dense1: float = math.nan
-    sparse1: float = math.nan
-    dense2: float = math.nan
-    sparse2: float = math.nan
-
-
-def _root_mean_square(values: Sequence[float]) -> float:
-    return math.sqrt(np.mean(np.square(values))) if len(values) else math.nan
-
-
 def flow_ratios(files: Sequence[Results], model: Model) -> dict[str, float]:
-    """Return measured over expected flows (`Comparison`) of the polarised circuits of all files."""
+    """Return measured over expected flows of the polarised circuits of all files, by `FLOWS`."""
     measured, expected = np.zeros(4), np.zeros(4)
     for results in files:
         chi = results.value("chi")
@@ -106,7 +72,7 @@ def flow_ratios(files: Sequence[Results], model: Model) -> dict[str, float]:
         return dict(zip(FLOWS, (measured / expected).tolist(), strict=True))
 
 
-def compare_circuit(files: Sequence[Results], model: Model) -> Comparison:
+def compare_circuit(files: Sequence[Results], model: Model) -> dict[str, float]:
     """Return the differences of one theory from the circuits of all files."""
     points = gather(files)
     known = points.where(np.isfinite(points.chi))
@@ -120,17 +86,14 @@ def compare_circuit(files: Sequence[Results], model: Model) -> Comparison:
     expected = [expected_state(model, *one) for one in each(cases, f"{model.label}, point")]
     chi, current = np.array(expected).T
     apart, both = np.abs(known.chi - chi), polarised & (current > 0.0)
+    off = (current[both] - known.current[both]) / current[both]
     errors = known.chi_error[polarised]
-    return Comparison(
-        model.name,
-        known.number.size,
-        float(np.mean((chi > POLARISED) == polarised)),
-        _mean(apart[polarised]),
-        _mean(apart[polarised & upper]),
-        _root_mean_square((current[both] - known.current[both]) / current[both]),
-        _mean(errors[np.isfinite(errors)]),
+    return {
+        "points": known.number.size, "right_phase": np.mean((chi > POLARISED) == polarised),
+        "chi": _mean(apart[polarised]), "upper_chi": _mean(apart[polarised & upper]),
+        "current": math.sqrt(_mean(off**2)), "measured_chi": _mean(errors[np.isfinite(errors)]),
         **flow_ratios(files, model),
-    )
+    }  # fmt: skip
 
 
 def _mean(values: Floats) -> float:
@@ -148,8 +111,8 @@ def _upper(points: Points) -> NDArray[np.bool_]:
     return found
 
 
-def compare_urn(files: Sequence[Results], model: Model) -> Comparison:
-    """Return the differences of one theory from the currents of single urns of all files."""
+def compare_urn(files: Sequence[Results], model: Model) -> dict[str, float]:
+    """Return the difference of one theory from the currents of single urns of all files."""
     points = gather(files)
     known = points.where(np.isfinite(points.current))
     relative = []
@@ -159,17 +122,23 @@ def compare_urn(files: Sequence[Results], model: Model) -> Comparison:
         free = float(model.urn_current(replace(urn, threshold=urn.number)))
         if expected > 0.01 * free:
             relative.append((expected - known.current[at]) / expected)
-    rest = (math.nan, math.nan, math.nan, _root_mean_square(relative), math.nan)
-    return Comparison(model.name, len(relative), *rest)
+    off = math.sqrt(_mean(np.square(relative)))
+    return dict.fromkeys((*COLUMNS, *FLOWS), math.nan) | {"points": len(relative), "current": off}
 
 
-def compare(files: Sequence[Results]) -> list[Comparison]:
-    """Return the comparison of each theory of well mixed urns with all files, of one shape."""
+def compare(files: Sequence[Results]) -> dict[str, dict[str, float]]:
+    """Return by theory of well mixed urns its differences from all files, of one shape.
+
+    `points`: how many; `right_phase`: share of them at which the theory has the right phase; `chi`,
+    `upper_chi`: mean of |measured - expected chi| over all polarised points, and over those with T
+    above that of the largest chi of their N, w and w'; `current`: root mean square of (theory -
+    measured)/theory; `measured_chi`: mean standard error of chi; flows measured over expected.
+    """
     shapes = {results.shape for results in files}
     if len(shapes) > 1:
         raise cli.InputError("compare needs files of one shape, circuit or urn")
     chosen = compare_circuit if shapes == {"circuit"} else compare_urn
-    return [chosen(files, MODELS[name]) for name in THEORIES]
+    return {name: chosen(files, MODELS[name]) for name in THEORIES}
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -183,24 +152,14 @@ def main(arguments: list[str] | None = None) -> int:
         for results in files:
             results.say_if_partial()
     if given.json:
-        print(json.dumps(cli.finite([vars(one) for one in found]), indent=2))
+        print(json.dumps(cli.finite(found), indent=2))
         return 0
-    print(
-        f"{'theory':32s} {'points':>6s} {'phase':>7s} {'chi':>9s} {'upper chi':>9s} "
-        f"{'current':>9s} {'(error)':>9s}"
-    )
-    for one in found:
+    chosen = COLUMNS if all(math.isnan(one["dense2"]) for one in found.values()) else (
+        *COLUMNS, *FLOWS)  # fmt: skip
+    for name in chosen:
         print(
-            f"{one.theory:32s} {one.points:6d} {one.right_phase:7.3f} {one.chi:9.2e} "
-            f"{one.upper_chi:9.2e} {one.current:9.2e} {one.measured_chi:9.1e}"
+            f"{name:12s}" + "".join(f" {theory} {one[name]:9.3g}" for theory, one in found.items())
         )
-    if all(math.isnan(one.dense2) for one in found):
-        return 0
-    print("\nflows over those of the theory at the measured spread, polarised circuits")
-    print(f"{'':32s} {'channel 1':>17s} {'channel 2':>17s}")
-    print(f"{'theory':32s}" + 2 * f" {'dense':>8s} {'sparse':>8s}")
-    for one in found:
-        print(f"{one.theory:32s}" + "".join(f" {getattr(one, name):8.3f}" for name in FLOWS))
     return 0
 
 

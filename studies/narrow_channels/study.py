@@ -18,7 +18,6 @@ The last three read tables of this folder, and one of the study of circulation. 
 from __future__ import annotations
 
 import math
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
@@ -224,12 +223,9 @@ def near(work: study.Study) -> None:
 def narrower(work: study.Study) -> None:
     """Make narrower.csv: A to D in narrower channels, with theory at the age of the runs."""
     rows: list[Row] = []
-    plans = work.pick(*NARROWER)
-    with ThreadPoolExecutor(work.ranks) as pool:
-        states = pool.map(lambda one: told("direction", one.case, one.width, one.age), plans)
-        papers = pool.map(lambda one: told("window", one.case, one.width), plans)
-    for plan, state, known in zip(plans, states, papers, strict=True):
-        paper = abs(known["net_current"])
+    for plan in work.pick(*NARROWER):
+        state = told("direction", plan.case, plan.width, plan.age)
+        paper = abs(told("window", plan.case, plan.width)["net_current"])
         seen = ran(work, plan, f"{plan.case}_{plan.width:g}", state["urn2_number"])
         seen |= over("paper", seen, paper) | over("theory", seen, state["at_age"])
         seen |= {"theory": state["at_age"] / paper, "theory_chi": state["mass_spread"]}
@@ -263,15 +259,10 @@ def visits_and_limits(work: study.Study) -> None:
 def theories(work: study.Study) -> None:
     """Make theories.csv: current over that of `window` and chi by each theory, 0 if it has none."""
     places = (*((plan.case, plan.width) for plan in NEARER[1]), ("E", LIMIT), ("F", LIMIT))
-    asked = [(*place, model) for place in places for model in ASKED]
-    with ThreadPoolExecutor(work.ranks) as pool:
-        states = list(pool.map(lambda one: told(one[2], *one[:2]), asked))
-        places = list(dict.fromkeys(one[:2] for one in asked))
-        papers = pool.map(lambda one: abs(told("window", *one)["net_current"]), places)
-    paper_of = dict(zip(places, papers, strict=True))
     rows: list[Row] = []
-    for (case, width, model), state in zip(asked, states, strict=True):
-        paper = paper_of[case, width]
+    for (case, width), model in product(places, ASKED):
+        state = told(model, case, width)
+        paper = abs(told("window", case, width)["net_current"])
         rows.append({
             "circuit": case, "w": width, "model": model,
             "over_paper": abs(state.get("net_current", 0.0)) / paper,
