@@ -76,18 +76,18 @@ class Walked:
 
     Attributes
     ----------
-    half2_number : N2, time average.
     flow1, flow2 : crossings of channels 1 and 2 from urn 1 to 2 and from 2 to 1, per unit time.
     entries, turned : entries into the gate of each urn, and reversed walkers, per unit time.
+    half2_number : N2, time average; shape (batch,).
     fuller_number, polarised_current : mean number in the half that is the fuller one at the time,
         and net current of channel 2 from there, per unit time; shape (batch,).
     """
 
-    half2_number: Floats
     flow1: Floats
     flow2: Floats
     entries: Floats
     turned: Floats
+    half2_number: Floats
     fuller_number: Floats
     polarised_current: Floats
 
@@ -128,8 +128,8 @@ def walk(circuit: Circuit, share2: float, effort: Effort, *, well_mixed: bool = 
     seeds = range(effort.seed, effort.seed + effort.batches)
     with doing(f"walkers, {share2:.2g} of them from urn 2"):
         found = _answers("".join(f"{line} {seed} {mixed}\n" for seed in seeds))
-    pairs = (found[:, first : first + 2] for first in (1, 3, 5, 7))
-    return Walked(found[:, 0], *pairs, found[:, 9], found[:, 10])
+    pairs = (found[:, first : first + 2] for first in (0, 2, 4, 6))
+    return Walked(*pairs, *found[:, 8:].T)
 
 
 def _answers(lines: str) -> Floats:
