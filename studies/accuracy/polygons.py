@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from postproc.theory import outlines
-from studies.common.probes import compared_visits
 from studies.common.text import number
+from studies.common.visits import compared_visits
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -10,7 +10,8 @@ import numpy as np
 
 from postproc.figures import style
 from studies.common import text
-from studies.common.probes import BITS, PRECISIONS, Answer, Question, ask, compared_visits
+from studies.common.probes import PRECISIONS, Answer, Question, ask
+from studies.common.visits import BITS, compared_visits
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence

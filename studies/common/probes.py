@@ -23,7 +23,6 @@ if TYPE_CHECKING:
     from studies.common.study import Study
 
 PRECISIONS = ("real32", "real64", "real128")
-BITS = {"real32": 23, "real64": 52}  # mantissa bits of the entries of visits
 EPSILON = {"real32": 2.0**-24, "real64": 2.0**-53, "real128": 2.0**-113}  # half a unit of 1
 
 Answer = list[dict[str, Any]]
@@ -59,26 +58,6 @@ def ask(study: Study, questions: Sequence[Question], *, exact: bool = True) -> l
     return [
         [json.loads(line, parse_float=number) for line in text.splitlines()[1:]] for text in texts
     ]
-
-
-def compared_visits(
-    study: Study, name: str, urns: dict[str, tuple[str, ...]], count: float
-) -> list[dict[str, Any]]:
-    """Return visits in real32 and real64, compared with the same in real128: a row for each.
-
-    urns : by name, the words for urn and widths.
-    """
-    asked, rows = ([], []), []
-    for at, (urn, words) in enumerate(urns.items()):
-        for precision, bits in BITS.items():
-            own = f"{name}-{at}-{precision}"
-            told = ("visits", *words, str(int(count)), str(bits))
-            asked[0].append(Question(own, precision, (*told, f"{own}.bin"), 3600))
-            told = (*told, f"{own}-real128.bin", f"{own}.bin")
-            asked[1].append(Question(f"{own}-real128", "real128", told, 36000))
-            rows.append({"urn": urn, "input": precision, "unit": EPSILON[precision]})
-    _, found = (ask(study, some, exact=False) for some in asked)
-    return [row | line for row, (line,) in zip(rows, found, strict=True)]
 
 
 def _text(study: Study, question: Question) -> str:

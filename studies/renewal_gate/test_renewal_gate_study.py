@@ -8,6 +8,7 @@ import pytest
 from postproc.theory.renewal import RENEWAL, share_of_one
 from studies.renewal_gate import fit
 
+pytestmark = pytest.mark.full  # a minute
 ACCURACY = 2e-5
 
 

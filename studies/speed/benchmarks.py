@@ -108,7 +108,7 @@ def rows_of(title: str, rows: Rows, name: str) -> Table:
         return f"+-{50.0 * (max(values) - min(values)) / statistics.median(values):.1f}%"
 
     lines = []
-    for key in (one for one in rows if one[0] == name):
+    for key in (one for one in rows.by_key if one[0] == name):
         _, engine, number, threshold, *widths, sides = key
         hits, visits, time = (rows.rates(key, rate) for rate in RATES)
         costs = rows.costs(key)

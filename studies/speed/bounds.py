@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import statistics
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -13,7 +12,7 @@ from rich.table import Table
 from postproc import cli
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Sequence
+    from collections.abc import Iterable, Sequence
 
 FORMAT = "battery-bench-1"
 RATES = {
@@ -30,6 +29,7 @@ SUBJECTS = {
     "collision": "time",
     "map": "collisions",
 }
+Key = tuple[Any, ...]
 CASE = ("engine", "number", "threshold", "channel1_width", "channel2_width", "sides")
 
 MAP_POINTS, MAP_COLLISIONS = 25 * 25, 1e8
@@ -65,59 +65,36 @@ class Figure:
         return median >= self.bound if self.at_least else median <= self.bound
 
 
-Key = tuple[Any, ...]
-
-
 class Rows:
-    """The rows of all tables of one run."""
+    """The rows of all tables of one run, by table and case."""
 
     def __init__(self, rows: Sequence[dict[str, Any]]) -> None:
-        self._rows: dict[Key, dict[str, Any]] = {}
-        self._first: dict[str, Key] = {}
+        self.by_key: dict[Key, dict[str, Any]] = {}
+        self.first: dict[str, Key] = {}  # of each table; its costs are relative to this row
         for row in rows:
             key = (row["table"], *(({"sides": 0} | row)[name] for name in CASE))
-            self._rows[key] = row
-            self._first.setdefault(row["table"], key)
-
-    def __iter__(self) -> Iterator[Key]:
-        """Iterate over the keys: table, engine, number, threshold, widths."""
-        return iter(self._rows)
-
-    def __contains__(self, key: Key) -> bool:
-        """Tell whether there is such a row."""
-        return key in self._rows
+            self.by_key[key] = row
+            self.first.setdefault(row["table"], key)
 
     def rates(self, key: Key, rate: str) -> tuple[float, ...]:
         """Return a rate (of `RATES`) of a row, one value for each round."""
-        return tuple(self._rows[key][RATES[rate]])
+        return tuple(self.by_key[key][RATES[rate]])
 
     def costs(self, key: Key, reference: Key | None = None) -> tuple[float, ...]:
         """Return the cost of a row relative to the first or another row, a value for each round."""
         rate = SUBJECTS.get(key[0], "collisions")
-        base = self.rates(reference or self._first[key[0]], rate)
+        base = self.rates(reference or self.first[key[0]], rate)
         return tuple(one / other for one, other in zip(base, self.rates(key, rate), strict=True))
 
-    def is_first(self, key: Key) -> bool:
-        """Tell whether the costs of the row's table are relative to this row."""
-        return self._first[key[0]] == key
-
-    def find(self, table: str, **wanted: Any) -> Key:  # noqa: ANN401 (strings and numbers)
+    def find(self, table: str, **wanted: float | str) -> Key:
         """Return the one row of a table whose case has these values."""
-        places = {name: 1 + CASE.index(name) for name in wanted}
         found = [
-            key
-            for key in self._rows
-            if key[0] == table and all(_same(key[at], wanted[name]) for name, at in places.items())
-        ]
+            key for key, row in self.by_key.items() if row["table"] == table and all(
+                row.get(name, 0) == value for name, value in wanted.items())
+        ]  # fmt: skip
         if len(found) != 1:
             raise cli.InputError(f"{len(found)} rows of table {table} have {wanted}")
         return found[0]
-
-
-def _same(one: Any, other: Any) -> bool:  # noqa: ANN401 (strings and numbers)
-    if isinstance(other, float):
-        return math.isclose(one, other, rel_tol=1e-4)
-    return one == other
 
 
 def figures(
@@ -138,7 +115,7 @@ def figures(
     few, many = (rows.find("number", number=number) for number in (1000, 1_000_000))
     discs = [rows.find("lorentz", engine=name) for name in ("excursion", "collision")]
     hexagon = rows.find("visits", sides=6, channel2_width=0.01)
-    samples = [rows.rates(key, "collisions") for key in rows if key[0] == "map"]
+    samples = [rows.rates(key, "collisions") for key in rows.by_key if key[0] == "map"]
     minutes = [
         MAP_POINTS * statistics.mean(MAP_COLLISIONS / rate for rate in turn) / 60.0
         for turn in zip(*samples, strict=True)

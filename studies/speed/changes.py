@@ -93,14 +93,14 @@ def changes(old: Run, new: Run) -> list[tuple[str, list[Change]]]:
         for one, other in pairs
     ]
     rates, costs = [], []
-    for key in old.rows:
-        if key not in new.rows:
+    for key in old.rows.by_key:
+        if key not in new.rows.by_key:
             continue
         rate = SUBJECTS.get(key[0], "collisions")
         name = name_of(key)
         both = (old.rows.rates(key, rate), new.rows.rates(key, rate))
         rates.append(change(name, *both, more_is_better=True))
-        if not old.rows.is_first(key) and not new.rows.is_first(key):
+        if key != old.rows.first[key[0]] and key != new.rows.first[key[0]]:
             both = (old.rows.costs(key), new.rows.costs(key))
             costs.append(change(name, *both, more_is_better=False))
     if not reached and not rates:
