@@ -156,6 +156,19 @@ def transition_answer(path: Path) -> tuple[Answer, dict[str, list[float]]]:
     return Answer(value, error, seconds), {name: list(one) for name, one in shown.items()}
 
 
+def shares(chi: Floats, current: Floats) -> tuple[Floats, ...]:
+    """Return chi and current over chi of points, shape (point, replica), and the errors of both.
+
+    NaN: errors of one replica, and the share at chi = 0.
+    """
+    mean, count = chi.mean(axis=1), chi.shape[1]
+    ratio = current.mean(axis=1) / np.where(mean > 0.0, mean, math.nan)
+    if count == 1:
+        return mean, ratio, *[np.full(mean.size, math.nan)] * 2
+    left = (current - ratio[:, None] * chi) / mean[:, None]
+    return mean, ratio, *(one.std(axis=1, ddof=1) / math.sqrt(count) for one in (chi, left))
+
+
 def least_cost(line: dict, quantity: str) -> float:
     """Return the CPU time of one short run (of each T of the transition)."""
     return line["per_time"] * SHORTEST * (len(SCANNED) if quantity == "transition" else 1)

@@ -136,16 +136,11 @@ def _read(path: Path, transient: float) -> Floats:
     with Results(path) as results:
         names = ("chi", "polarised_current", "cpu_seconds", "time")
         chi, current, seconds, time = (results.value(name) for name in names)
-    count = chi.shape[1]
-    mean = chi.mean(axis=1)
-    ratio = current.mean(axis=1) / np.where(mean > 0.0, mean, math.nan)
-    errors = [np.full(mean.size, math.nan)] * 2
-    if count > 1:
-        left = (current - ratio[:, None] * chi) / mean[:, None]
-        errors = [one.std(axis=1, ddof=1) / math.sqrt(count) for one in (chi, left)]
-    waited = np.full(mean.size, transient)
+    count, waited = chi.shape[1], np.full(len(chi), transient)
     per_time = seconds.sum(axis=1) / time.sum(axis=1)
-    return np.array([mean, ratio, *errors, per_time, time.sum(axis=1) - count * waited, waited])
+    return np.array(
+        [*ladder.shares(chi, current), per_time, time.sum(axis=1) - count * waited, waited]
+    )
 
 
 def scatter(truth: Told) -> Told:

@@ -56,21 +56,15 @@ def run_map(work: Study, engine: str | None = None) -> Path:
     return work.run(groups, name, {"run": groups["run"] | run, "scan": groups["scan"] | scan})
 
 
-def of_runs(file: Path) -> tuple[Points, Points]:
+def of_runs(file: Path) -> list[Points]:
     """Return chi and current over chi by (T, w'), and the standard errors of both."""
-    data, means, errors = postproc.open_results(file), {}, {}
-    for threshold in data.threshold.to_numpy():
-        for width in data.channel2_width.to_numpy():
-            here = data.sel(threshold=threshold, channel2_width=width)
-            chi, current = here.chi.to_numpy(), here.polarised_current.to_numpy()
-            at, spread = (int(threshold), float(width)), float(chi.mean())
-            share = float(current.mean()) / spread
-            means[at] = spread, share
-            if chi.size > 1:
-                left = (current - share * chi) / spread
-                root = math.sqrt(chi.size)
-                errors[at] = float(chi.std(ddof=1)) / root, float(left.std(ddof=1)) / root
-    return means, errors
+    data = postproc.open_results(file).stack(point=("threshold", "channel2_width"))
+    runs = (data[name].transpose("point", "replica").to_numpy()
+            for name in ("chi", "polarised_current"))  # fmt: skip
+    places = [(int(threshold), float(width)) for threshold, width in data.point.to_numpy()]
+    chi, share, *errors = (one.tolist() for one in ladder.shares(*runs))
+    return [dict(zip(places, zip(*both, strict=True), strict=True))
+            for both in ((chi, share), errors)]  # fmt: skip
 
 
 def theory_at(work: Study, model: str, points: list[tuple[int, float]]) -> Points:

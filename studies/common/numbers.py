@@ -35,6 +35,11 @@ def with_errors(**values: ArrayLike) -> dict[str, float]:
     return found
 
 
+def said(row: Row, name: str, digits: int) -> str:
+    """Return a number of a row with its error."""
+    return f"{row[name]:.{digits}f} ± {row[f'{name}_error']:.{digits}f}"
+
+
 def transition_of(thresholds: Floats, chi: Floats) -> tuple[float, float]:
     """Return the T at which chi, shape (threshold, replica), falls through 0.3, and its error.
 

@@ -16,7 +16,7 @@ import postproc
 from postproc.figures import style
 from studies.common import study
 from studies.common.geometry import lattice, urn_area
-from studies.common.numbers import bars, with_errors
+from studies.common.numbers import bars, said, with_errors
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -229,25 +229,20 @@ def figure(found: dict[str, Rows]) -> Figure:
     return made
 
 
-def value(row: dict[str, float], name: str, digits: int) -> str:
-    """Return a number of a row with its error."""
-    return f"{row[name]:.{digits}f} ± {row[f'{name}_error']:.{digits}f}"
-
-
 def tables(work: study.Study, found: dict[str, Rows]) -> None:
     """Write the tables of the page."""
     chi, conductance = ("chi", 3), ("conductance", 3)
     work.table(
         "ohm", ["T", "chi, discs", "conductance, discs", "chi, straight", "conductance, straight"],
-        [[f"{discs['threshold']:g}", *(value(row, *one) for row in (discs, straight)
+        [[f"{discs['threshold']:g}", *(said(row, *one) for row in (discs, straight)
                                        for one in (chi, conductance))]
          for discs, straight in zip(found["ohm"], found["ohm_straight"], strict=True)],
     )  # fmt: skip
     for name, head in (("radius", "radius"), ("columns", "columns of radius 0.04")):
         work.table(
             name, [head, "chi, from equal urns", "chi, from one full urn", "conductance"],
-            [[f"{equal[name]:g}", value(equal, "chi", 4), value(full, "chi", 4),
-              value(full, *conductance)]
+            [[f"{equal[name]:g}", said(equal, "chi", 4), said(full, "chi", 4),
+              said(full, *conductance)]
              for equal, full in zip(found[name][::2], found[name][1::2], strict=True)],
         )  # fmt: skip
     work.table(
@@ -262,7 +257,7 @@ def tables(work: study.Study, found: dict[str, Rows]) -> None:
     for equal, full in zip(found["close"][::2], found["close"][1::2], strict=True):
         rows.append([
             f"{equal['number']:g}", f"{equal['radius']:g}",
-            *(value(row, name, digits) for name, digits in (("chi", 3), ("binder", 2))
+            *(said(row, name, digits) for name, digits in (("chi", 3), ("binder", 2))
               for row in (equal, full)),
             *(f"{row['stay']:g} of {row['runs']:g}" for row in (equal, full)),
             f"{50.0 * (equal['between'] + full['between']):.1f} %",

@@ -17,7 +17,7 @@ from postproc.figures import style
 from studies.common import event_log, geometry, study
 from studies.common.event_log import CROSSING2
 from studies.common.geometry import DISC, IRRATIONAL, REGULAR, SQUARE
-from studies.common.numbers import bars, with_errors
+from studies.common.numbers import bars, said, with_errors
 from studies.common.theories import told
 
 if TYPE_CHECKING:
@@ -168,17 +168,13 @@ def figure(found: Found) -> Figure:
     return made
 
 
-def _number(row: Row, name: str, digits: int) -> str:
-    return f"{row[name]:.{digits}f} ± {row[f'{name}_error']:.{digits}f}"
-
-
 def write_tables(work: study.Study, found: Found) -> None:
     """Write the tables of the page: names, and those of the transients and starts beside them."""
     mixed = {row["threshold"]: row for row in found["well mixed"]["renewal"]}
     for kind, name in itertools.product(KINDS, ("chi", "polarised_current")):
         title = "chi" if name == "chi" else "net current"
         work.table(f"{kind}_{name}", ["T", f"{title}, {DISC}", *list(LOOKS)[1:], "well mixed"], [
-            [f"{rows[0]['threshold']:g}", *(_number(row, name, 3) for row in rows),
+            [f"{rows[0]['threshold']:g}", *(said(row, name, 3) for row in rows),
              f"{mixed[rows[0]['threshold']][name]:.3f}"]
             for rows in zip(*found[kind].values(), strict=True)
         ])  # fmt: skip
@@ -187,12 +183,12 @@ def write_tables(work: study.Study, found: Found) -> None:
             "binomial errors"]  # fmt: skip
     work.table("returns", head, [
         [shape, *itertools.chain(*(
-            (_number(row, "return", 4), f"{row['return'] / row['chance']:.2f}") for row in rows)),
+            (said(row, "return", 4), f"{row['return'] / row['chance']:.2f}") for row in rows)),
          ", ".join(f"{row['binomial']:.4f}" for row in rows)]
         for shape, rows in found["returns"].items()
     ])  # fmt: skip
     work.table("directions", ["visits", *LOOKS], [
-        [f"{rows[0]['lag']}", *(_number(row, "correlation", 3) for row in rows)]
+        [f"{rows[0]['lag']}", *(said(row, "correlation", 3) for row in rows)]
         for rows in zip(*found["directions"].values(), strict=True)
     ])  # fmt: skip
 
