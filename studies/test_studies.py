@@ -20,7 +20,6 @@ WHOLE = (
 MORE = {
     "accuracy": ("postproc.advice", *WHOLE),
     "common": ("postproc.advice", *WHOLE),
-    "compare": ("postproc.report.data", "postproc.progress", *WHOLE),
     "one_particle": ("postproc.progress", *WHOLE),
     "renewal_gate": WHOLE,
     "speed": WHOLE,

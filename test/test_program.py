@@ -594,7 +594,7 @@ def test_summary_has_a_line_for_a_point_over_its_replicas(tmp_path: Path) -> Non
     scan = {"channel2_width": "0.2, 0.3", "replicas": "3"}
     write(tmp_path, scan=scan, output={"file": "'out.h5'"})
     lines = run("case.nml", folder=tmp_path).stdout.splitlines()
-    at = next(at for at, line in enumerate(lines) if "polarised" in line)
+    at = next(at for at, line in enumerate(lines) if "errors over replicas" in line)
     with xarray.open_dataset(tmp_path / "out.h5") as root:
         for point, line in enumerate(lines[at + 1 : at + 3]):
             part = root.isel(point=point)
@@ -605,7 +605,7 @@ def test_summary_has_a_line_for_a_point_over_its_replicas(tmp_path: Path) -> Non
                 assert error == pytest.approx(values.std(ddof=1) / np.sqrt(3), abs=1e-5)
             assert line.split()[4] == "3"
     write(tmp_path, output={"file": "'out.h5'"})
-    assert "polarised" not in run("--overwrite", "case.nml", folder=tmp_path).stdout
+    assert "over replicas" not in run("--overwrite", "case.nml", folder=tmp_path).stdout
 
 
 def test_run_too_short_for_an_error_has_none_and_says_so(tmp_path: Path) -> None:
@@ -615,7 +615,7 @@ def test_run_too_short_for_an_error_has_none_and_says_so(tmp_path: Path) -> None
         length = {"duration": duration, "transient_duration": "0"}
         write(tmp_path, table=wide, run=length, output={"file": "'out.h5'"})
         printed = run("--overwrite", "case.nml", folder=tmp_path).stdout
-        assert ("use more replicas" in printed) is not known
+        assert ("replicas give one" in printed) is not known
         with xarray.open_dataset(tmp_path / "out.h5") as root:
             for name in ("chi", "current1", "polarised_current"):
                 assert np.isfinite(root[name].item())

@@ -8,40 +8,57 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from postproc.cli import InputError
 from postproc.progress import each
 from postproc.theory.models import FEW, MODELS, defaults
 
 if TYPE_CHECKING:
     import argparse
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Sequence
 
     from numpy.typing import NDArray
 
-    from postproc.reading.results import Results
+    from postproc.reading.points import Points
     from postproc.theory.circuit import Circuit
     from postproc.theory.model import Model
 
     Floats = NDArray[np.float64]
 
 
-def named(names: Iterable[str]) -> tuple[Model, ...]:
-    """Return models by their names, in that order."""
+def named(names: Sequence[str]) -> tuple[Model, ...]:
+    """Return models by their names, in that order; raise `InputError` if there is none of one."""
+    for name in names:
+        if name not in MODELS:
+            raise InputError(f"there is no theory {name!r}; there are {', '.join(MODELS)}")
     return tuple(MODELS[name] for name in names)
 
 
-def default(files: Sequence[Results]) -> tuple[Model, ...]:
-    """Return the theories to draw beside files where none is named, `theory.models.defaults`.
+def default(points: Points) -> tuple[Model, ...]:
+    """Return the theories to draw beside points where none is named, `theory.models.defaults`.
 
     None if there are discs in channel 2, which no theory has.
     """
-    if any(one.scatterers for one in files):
-        return ()
-    return defaults(one.any_circuit(point) for one in files for point in range(one.points))
+    return () if points.scatterers else defaults(points.circuits())
+
+
+def asked(points: Points, names: Sequence[str]) -> tuple[Model, ...]:
+    """Return theories by their names; raise `InputError` if one does not apply to all points."""
+    models = named(names)
+    for point, circuit in enumerate(points.circuits() if models else ()):
+        if points.beyond_theory(point):
+            what = circuit.unlike or "discs in channel 2"
+            raise InputError(f"{points.files}: no theory is drawn beside {what}, at point {point}")
+        for model in models:
+            if refused := model.refusal(circuit):
+                known = ", ".join(one for one in MODELS if not MODELS[one].refusal(circuit))
+                raise InputError(f"{points.files}: {refused}; those that apply: {known}")
+    return models
 
 
 def add_models(options: argparse.ArgumentParser) -> None:
-    """Add `--model NAME ...`, the theories to draw."""
+    """Add `--theory NAME ...`, the theories to draw."""
     options.add_argument(
+        "--theory",
         "--model",
         metavar="NAME",
         nargs="+",

@@ -82,7 +82,7 @@ def defaults(circuits: Iterable[Circuit]) -> tuple[Model, Model]:
 
 def guide() -> list[str]:
     """Return the lines of a table of all theories and their use, in Markdown."""
-    lines = ["| `--model` | label | what it is | time per state | also computes | use it for |",
+    lines = ["| `--theory` | label | what it is | time per state | also computes | use it for |",
              "| --- | --- | --- | --- | --- | --- |"]  # fmt: skip
     for one in MODELS.values():
         seconds = f"{1e3 * one.seconds:g} ms" if one.seconds < 1.0 else f"{one.seconds:g} s"

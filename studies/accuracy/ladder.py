@@ -11,7 +11,8 @@ import numpy as np
 
 from postproc.advice.advice import transition_between as transition
 from postproc.advice.model_errors import BATTERY
-from postproc.reading.results import Results
+from postproc.reading.grid import open_results
+from postproc.reading.points import Points
 from postproc.theory.circuit import eta
 from postproc.theory.direction import transfer
 from postproc.theory.models import MODELS
@@ -134,22 +135,22 @@ def eta_seconds(circuit: Circuit = BATTERY, calls: int = 200) -> float:
 
 def battery_answers(path: Path) -> dict[str, Answer]:
     """Return chi and net current of a file with one point; errors from its replicas alone."""
-    with Results(path) as results:
-        done = results.done[0]
-        seconds = float(results.value("cpu_seconds")[0][done].sum())
-        values = {
-            "chi": results.value("chi")[0][done],
-            # signed: the run begins with urn 2 full, whose battery drives 1 -> 2 in channel 1
-            "current": results.value("current1")[0][done],
-        }
+    results = Points(open_results(path))
+    done = results.done[0]
+    seconds = float(results.value("cpu_seconds")[0][done].sum())
+    values = {
+        "chi": results.value("chi")[0][done],
+        # signed: the run begins with urn 2 full, whose battery drives 1 -> 2 in channel 1
+        "current": results.value("current1")[0][done],
+    }
     return {name: Answer(*map(float, mean_of(value)), seconds) for name, value in values.items()}
 
 
 def transition_answer(path: Path) -> tuple[Answer, dict[str, list[float]]]:
     """Return the transition of a file with a scan of T, and chi there."""
-    with Results(path) as results:
-        threshold, chi = results.value("threshold"), results.value("chi")
-        seconds = float(results.value("cpu_seconds").sum())
+    results = Points(open_results(path))
+    threshold, chi = results.value("threshold"), results.value("chi")
+    seconds = float(results.value("cpu_seconds").sum())
     value, error = transition_of(threshold, chi)
     spread = chi.std(axis=1, ddof=1) / math.sqrt(chi.shape[1])
     shown = {"threshold": threshold, "chi": chi.mean(axis=1), "chi_error": spread}
@@ -186,8 +187,8 @@ def engine_keys(rung: Rung) -> dict[str, object]:
 
 def seconds_per_time(path: Path) -> float:
     """Return the CPU time of a run per unit of time, in s."""
-    with Results(path) as results:
-        return float(results.value("cpu_seconds").sum() / results.value("time").sum())
+    results = Points(open_results(path))
+    return float(results.value("cpu_seconds").sum() / results.value("time").sum())
 
 
 def run_rung(study: Study, rung: Rung, seconds: float) -> tuple[dict[str, Answer], dict, float]:

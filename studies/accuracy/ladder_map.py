@@ -18,7 +18,8 @@ import numpy as np
 
 from postproc.advice.advice import HALFWAY
 from postproc.advice.transients import of_chi
-from postproc.reading.results import Results
+from postproc.reading.grid import open_results
+from postproc.reading.points import Points
 from studies.accuracy import charts, ladder
 from studies.accuracy.ladder import BATTERY, LONGER, QUANTITIES, RUNGS
 from studies.accuracy.ladder_errors import SURE, TOLERANCES, cancelling, cheapest
@@ -133,9 +134,9 @@ def run_points(
 
 def _read(path: Path, transient: float) -> Floats:
     """Return the fields of `Told` of a file, shape (field, point)."""
-    with Results(path) as results:
-        names = ("chi", "polarised_current", "cpu_seconds", "time")
-        chi, current, seconds, time = (results.value(name) for name in names)
+    results = Points(open_results(path))
+    names = ("chi", "polarised_current", "cpu_seconds", "time")
+    chi, current, seconds, time = (results.value(name) for name in names)
     count, waited = chi.shape[1], np.full(len(chi), transient)
     per_time = seconds.sum(axis=1) / time.sum(axis=1)
     return np.array(

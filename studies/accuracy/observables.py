@@ -14,7 +14,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from postproc.advice import transients
-from postproc.reading.results import Results
+from postproc.reading.grid import open_results
+from postproc.reading.points import Points
 from studies.accuracy import charts, ladder
 from studies.accuracy.ladder import QUANTITIES, Answer
 from studies.common.numbers import with_errors
@@ -44,9 +45,9 @@ def long_runs(study: Study) -> Path:
 
 def total_time(path: Path) -> float:
     """Return the total measured time of runs."""
-    with Results(path) as results:
-        past = results.value("transient_time")
-        return float((results.value("time") - past)[results.done].sum())
+    results = Points(open_results(path))
+    past = results.value("transient_time")
+    return float((results.value("time") - past)[results.done].sum())
 
 
 def reference(study: Study) -> dict[str, Answer]:
@@ -99,11 +100,11 @@ def averages(study: Study) -> list[dict[str, float]]:
         "particles": {"urn1_number": 500},
     }
     rows = []
-    with Results(study.run("battery", "averages", changes)) as results:
-        for point, threshold in enumerate(AVERAGED):
-            time, hits = (results.value(name)[point] for name in ("chi", "chi_collision"))
-            seen = with_errors(chi=time, less=hits - time)
-            rows.append({"threshold": threshold, "error": seen.pop("chi_error"), **seen})
+    results = Points(open_results(study.run("battery", "averages", changes)))
+    for point, threshold in enumerate(AVERAGED):
+        time, hits = (results.value(name)[point] for name in ("chi", "chi_collision"))
+        seen = with_errors(chi=time, less=hits - time)
+        rows.append({"threshold": threshold, "error": seen.pop("chi_error"), **seen})
     return rows
 
 

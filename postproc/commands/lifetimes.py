@@ -15,7 +15,7 @@ from __future__ import annotations
 import json
 
 from postproc import cli
-from postproc.circuit_options import beside, circuit_options, given_circuit, given_models
+from postproc.commands.circuit_options import beside, circuit_options, given_circuit, given_models
 from postproc.progress import doing
 
 
@@ -31,7 +31,3 @@ def main(arguments: list[str] | None = None) -> int:
             answers.append(cli.finite(vars(model.lifetimes(circuit))))
     print(json.dumps(beside(models, answers), indent=2))
     return 0
-
-
-if __name__ == "__main__":
-    raise SystemExit(cli.run(main))
