@@ -133,7 +133,10 @@ def processor() -> str:
 
 
 def peak_memory(program: Path, number: int = MANY, collisions: int = MANY_COLLISIONS) -> float:
-    """Return the peak memory of a run in bytes for each particle."""
+    """Return the peak memory of a run in bytes for each particle.
+
+    The system counts what this process has when it starts the run: less than that is not seen.
+    """
     command = [str(program), "single", "excursion"]
     command += [str(word) for word in (number, 7 * number // 1000, 0.3, 0.01, collisions)]
     with subprocess.Popen(command, stdout=subprocess.DEVNULL) as run:

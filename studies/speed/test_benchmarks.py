@@ -125,9 +125,9 @@ echo $((last + 5)); echo "== Collected : $((1000 + 20 * (last + 5)))" >&2"""
 
 def test_memory_is_shared_among_the_particles(tmp_path: Path) -> None:
     text = """test "$1" = single && exec """
-    program = _program(tmp_path / "bench", f"{text}{sys.executable} -c 'b\"x\" * 2**27'")
+    program = _program(tmp_path / "bench", f"{text}{sys.executable} -c 'b\"x\" * 2**29'")
     found = benchmarks.peak_memory(program, 2**20, 1)
-    assert 128.0 < found < 256.0
+    assert 512.0 < found < 640.0
 
 
 def test_ratios_are_of_pairs_in_turn(monkeypatch: pytest.MonkeyPatch) -> None:
