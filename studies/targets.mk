@@ -45,14 +45,10 @@ $(PRECISIONS:%=build/bin/accuracy-%): build/bin/accuracy-real%: FORCE | librarie
 	@export FPM_FFLAGS="$(RELEASE_FLAGS) -DBATTERY_REAL$*" FPM_LDFLAGS="-flto=auto"
 	$(call beside,accuracy,real$*,studies/accuracy/programs,studies/common)
 
-# What postproc asked up to 0.3.0: walkers, and the renewal gate alone.
+# Walkers, which postproc asked up to 0.3.0.
 build/bin/one_particle: FORCE | libraries $(fpm) information
 	@export FPM_FFLAGS="$(RELEASE_FLAGS)" FPM_LDFLAGS="$(RELEASE_LINK)"
 	$(call beside,one_particle,$(MARCH),studies/one_particle/programs,studies/common)
-
-build/bin/renewal_closure build/bin/renewal_gate: build/bin/%: FORCE | libraries $(fpm) information
-	@export FPM_FFLAGS="$(RELEASE_FLAGS)" FPM_LDFLAGS="$(RELEASE_LINK)"
-	$(call beside,$*,$(MARCH),studies/renewal_gate/programs)
 
 accuracy: build probes $(COMMANDS) ## the speed-accuracy charts and the stability tables; FULL=1: long runs
 	@for study in accuracy trajectories gated_reversal; do

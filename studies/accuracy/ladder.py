@@ -19,6 +19,7 @@ from postproc.theory.models import MODELS
 from postproc.theory.ports import mean_stay
 from postproc.theory.returns import return_chance
 from postproc.theory.visits import unit_disc
+from studies.common.numbers import mean_of, transition_of
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -142,31 +143,36 @@ def battery_answers(path: Path) -> dict[str, Answer]:
         # signed: the run begins with urn 2 full, whose battery drives 1 -> 2 in channel 1
         "current": results.value("current1")[0][done],
     }
-    return {name: Answer(*mean_of(value), seconds) for name, value in values.items()}
+    return {name: Answer(*map(float, mean_of(value)), seconds) for name, value in values.items()}
 
 
 def transition_answer(path: Path) -> tuple[Answer, dict[str, list[float]]]:
-    """Return the transition of a file with a scan of T, and chi there.
-
-    The error is that of replicas: one is left out at a time (jackknife).
-    """
+    """Return the transition of a file with a scan of T, and chi there."""
     results = Points(open_results(path))
     threshold, chi = results.value("threshold"), results.value("chi")
     seconds = float(results.value("cpu_seconds").sum())
-    count = chi.shape[1]
-    value = transition(threshold, chi.mean(axis=1))
-    without = np.array(
-        [transition(threshold, np.delete(chi, k, axis=1).mean(axis=1)) for k in range(count)]
-    )
-    error = math.sqrt((count - 1) / count * np.sum((without - without.mean()) ** 2))
-    spread = chi.std(axis=1, ddof=1) / math.sqrt(count)
+    value, error = transition_of(threshold, chi)
+    spread = chi.std(axis=1, ddof=1) / math.sqrt(chi.shape[1])
     shown = {"threshold": threshold, "chi": chi.mean(axis=1), "chi_error": spread}
     return Answer(value, error, seconds), {name: list(one) for name, one in shown.items()}
 
 
-def mean_of(values: Floats) -> tuple[float, float]:
-    """Return mean and standard error of independent values."""
-    return float(values.mean()), float(values.std(ddof=1) / math.sqrt(values.size))
+def shares(chi: Floats, current: Floats) -> tuple[Floats, ...]:
+    """Return chi and current over chi of points, shape (point, replica), and the errors of both.
+
+    NaN: errors of one replica, and the share at chi = 0.
+    """
+    mean, count = chi.mean(axis=1), chi.shape[1]
+    ratio = current.mean(axis=1) / np.where(mean > 0.0, mean, math.nan)
+    if count == 1:
+        return mean, ratio, *[np.full(mean.size, math.nan)] * 2
+    left = (current - ratio[:, None] * chi) / mean[:, None]
+    return mean, ratio, *(one.std(axis=1, ddof=1) / math.sqrt(count) for one in (chi, left))
+
+
+def least_cost(line: dict, quantity: str) -> float:
+    """Return the CPU time of one short run (of each T of the transition)."""
+    return line["per_time"] * SHORTEST * (len(SCANNED) if quantity == "transition" else 1)
 
 
 def stem(rung: Rung) -> str:
