@@ -1,6 +1,7 @@
 /* System calls for files.f90, paths.f90 and file_text.f90 that need a structure, a constant or errno
    of C headers. A result is 0 or an error number unless said otherwise. */
 #define _GNU_SOURCE
+#include <ISO_Fortran_binding.h>
 #include <dirent.h>
 #include <errno.h>
 #include <fcntl.h>
@@ -197,26 +198,58 @@ int battery_is_standard_output(const char *path) {
     && found.st_dev == output.st_dev && found.st_ino == output.st_ino && access_mode != O_RDONLY;
 }
 
+/* Writes bytes to an open file or pipe, all of them: a full disk, also one that is found out late, cannot
+   go unnoticed if `close` or `fsync` is checked as well. */
+int battery_write_all(int descriptor, const char *bytes, size_t length) {
+  while (length > 0) {
+    ssize_t written = write(descriptor, bytes, length);
+    if (written < 0 && errno == EAGAIN) {
+      struct pollfd ready = {.fd = descriptor, .events = POLLOUT};
+      poll(&ready, 1, -1);
+    } else if (written < 0 && errno != EINTR) {
+      return errno;
+    } else if (written > 0) {
+      bytes += written;
+      length -= (size_t)written;
+    }
+  }
+  return 0;
+}
+
 /* Writes a whole file, which is emptied first unless it is standard output, to which is appended. */
 int battery_write_file(const char *path, const char *bytes, size_t length) {
   int shared = battery_is_standard_output(path);
   int descriptor = shared ? STDOUT_FILENO
     : open(path, O_WRONLY | O_CREAT | O_TRUNC | O_NOCTTY | O_CLOEXEC, 0666);
   if (descriptor < 0) return errno;
-  int status = 0;
-  while (length > 0 && status == 0) {
-    ssize_t written = write(descriptor, bytes, length);
-    if (written < 0 && errno == EAGAIN) {
-      struct pollfd ready = {.fd = descriptor, .events = POLLOUT};
-      poll(&ready, 1, -1);
-    } else if (written < 0 && errno != EINTR) {
-      status = errno;
-    } else if (written > 0) {
-      bytes += written;
-      length -= (size_t)written;
-    }
-  }
+  int status = battery_write_all(descriptor, bytes, length);
   return shared || close(descriptor) == 0 || status != 0 ? status : errno;
+}
+
+/* Bytes of an array. gfortran 11 gives an empty array the extent -1. */
+static size_t bytes_of(const CFI_cdesc_t *values) {
+  size_t bytes = values->elem_len;
+  for (int k = 0; k < values->rank; k++)
+    bytes *= values->dim[k].extent > 0 ? (size_t)values->dim[k].extent : 0;
+  return bytes;
+}
+
+/* Writes three contiguous arrays one after the other into a file from an offset on, and ends the file
+   there; if the offset is 0, the file is made anew. */
+int battery_write_parts(const char *path, int64_t at, const CFI_cdesc_t *first, const CFI_cdesc_t *second,
+                        const CFI_cdesc_t *third) {
+  const CFI_cdesc_t *part[3] = {first, second, third};
+  int status = at == 0 ? battery_create_new(path) : 0;
+  if (status != 0) return status;
+  int descriptor = open(path, O_WRONLY | O_NOFOLLOW | O_CLOEXEC);
+  if (descriptor < 0) return errno;
+  if (lseek(descriptor, at, SEEK_SET) < 0) status = errno;
+  for (int k = 0; k < 3 && status == 0; k++) {
+    status = battery_write_all(descriptor, part[k]->base_addr, bytes_of(part[k]));
+    at += (int64_t)bytes_of(part[k]);
+  }
+  if (status == 0 && ftruncate(descriptor, at) != 0) status = errno;
+  return close(descriptor) == 0 || status != 0 ? status : errno;
 }
 
 /* The next name in an open folder that matches a pattern of `*` and `?`; NULL at the end. */

@@ -10,7 +10,8 @@ module battery_files
   implicit none (type, external)
   private
   public :: file_exists, is_readable, is_writable, is_locked, is_disk_error, files_matching
-  public :: sync_file, rename_file, remove_file, make_folder, publish_file, create_new_file
+  public :: sync_file, rename_file, remove_file, make_folder, publish_file, create_new_file, &
+    write_parts
   public :: file_stamp_type, file_stamp_at, has_stamp, publish_unless_replaced
 
   !> Stamp of the file that a name referred to at one time; initially: no file.
@@ -46,6 +47,15 @@ module battery_files
       character(kind=c_char), intent(in) :: path(*)
       integer(c_int64_t), intent(out) :: seen(5)
     end subroutine c_look_at
+
+    integer(c_int) function c_write_parts(path, at, first, second, third) &
+        bind(c, name='battery_write_parts')
+      import :: c_char, c_int, c_int64_t
+      implicit none (type, external)
+      character(kind=c_char), intent(in) :: path(*)
+      integer(c_int64_t), value, intent(in) :: at
+      type(*), intent(in) :: first(..), second(..), third(..)
+    end function c_write_parts
 
     integer(c_int) function c_put_in_place(old, new, seen) bind(c, name='battery_put_in_place')
       import :: c_char, c_int, c_int64_t
@@ -204,6 +214,22 @@ contains
 
     call set_system_error(c_create_new(path//c_null_char), path//': cannot be made anew', error)
   end subroutine create_new_file
+
+  !> Writes three arrays one after the other into a file, and ends the file behind them.
+  subroutine write_parts(path, at, first, second, third, error)
+    !> Path of the file.
+    character(len=*), intent(in) :: path
+    !> Offset in bytes of the first array; 0: the file is made anew, and a file or a link that had
+    !> the name is removed.
+    integer(c_int64_t), intent(in) :: at
+    !> Arrays of numbers; may be empty.
+    type(*), intent(in), contiguous :: first(..), second(..), third(..)
+    !> Not all bytes could be written.
+    type(error_type), allocatable, intent(out) :: error
+
+    call set_system_error(c_write_parts(path//c_null_char, at, first, second, third), &
+      path//': cannot be written', error)
+  end subroutine write_parts
 
   !> Whether the last failure was one of the disk, not of a name or of permissions.
   logical function is_disk_error() result(yes)

@@ -21,7 +21,7 @@ module battery_hdf5_file
     h5p_default_f, h5p_file_access_f
   use battery_kinds, only: int8, int64
   use battery_error, only: error_type, fatal_error, exit_failure, exit_bad_input
-  use battery_files, only: is_writable, create_new_file
+  use battery_files, only: is_writable, write_parts
   use battery_paths, only: is_folder, folder_of
   use battery_checksum_footer, only: footer_length, footer_of
   use battery_text, only: to_text
@@ -174,12 +174,17 @@ contains
     type(hdf5_file_type), intent(inout) :: file
     type(error_type), allocatable, intent(out) :: error
     integer(int8), pointer, contiguous :: image(:)
+    character(len=footer_length) :: footer
     integer :: status
 
     if (file%id < 0) return
     status = 0
     if (file%is_new) call get_image(file, image, status)
-    if (file%is_new .and. status == 0) call write_image(file%name, image, error)
+    if (file%is_new .and. status == 0) then
+      call footer_of(image, footer, error)
+      if (.not. allocated(error)) call write_parts(file%name, 0_int64, image, &
+        transfer(footer, image), [integer(int8) ::], error)
+    end if
     call release_handle(file%id, status)
     file%id = no_handle
     if (status /= 0 .and. .not. allocated(error)) &
@@ -221,40 +226,6 @@ contains
     call c_f_pointer(handle, memory)
     call c_f_pointer(memory, image, [bytes])
   end subroutine get_image
-
-  !> Writes bytes to a new file, followed by the checksum footer. The size of the file is checked at
-  !> the end, since the runtime library does not report failed writes of buffered data.
-  subroutine write_image(name, image, error)
-    character(len=*), intent(in) :: name
-    integer(int8), intent(in), contiguous :: image(:)
-    type(error_type), allocatable, intent(out) :: error
-    character(len=256) :: reason
-    character(len=footer_length) :: footer
-    integer :: unit, status, closed
-    integer(int64) :: bytes, expected
-
-    call create_new_file(name, error)
-    if (allocated(error)) return
-    call footer_of(image, footer, error)
-    if (allocated(error)) return
-    expected = footer_length + size(image, kind=int64)
-    open (newunit=unit, file=name, access='stream', form='unformatted', action='write', &
-      status='old', iostat=status, iomsg=reason)
-    if (status == 0) then
-      reason = 'it cannot be closed'
-      write (unit, iostat=status, iomsg=reason) image, footer
-      close (unit, iostat=closed)
-      if (status == 0) status = closed
-    end if
-    if (status == 0) then
-      inquire (file=name, size=bytes)
-      if (bytes /= expected) then
-        status = 1
-        reason = 'only '//to_text(bytes)//' of '//to_text(expected)//' bytes: is the disk full?'
-      end if
-    end if
-    if (status /= 0) call fatal_error(error, name//': cannot be written: '//trim(reason))
-  end subroutine write_image
 
   !> Makes a group in a file; it must not exist yet, and its parent must. Does nothing after an
   !> error.
