@@ -20,15 +20,14 @@ module battery_journal
   use battery_journal_folder, only: numbers_in
   use battery_lock_file, only: lock_type, is_lock_lost, lock_lost_text
   use battery_record_file, only: record_type, append_record, write_single_record, &
-    read_single_record, record_reader_type, open_records, next_record
-  use battery_task_result, only: task_result_type, to_record, from_record
+    read_single_record
+  use battery_task_result, only: task_result_type, to_record
   use battery_simulation, only: simulation_type, setup_type, serialize_simulation
   use battery_tasks, only: task_type
   use battery_archive, only: archive_type, new_archive, measuring_archive, archive_of
   implicit none (type, external)
   private
-  public :: journal_type, read_plan, begin_journal, join_journal, open_rank_file, &
-    next_result
+  public :: journal_type, read_plan, begin_journal, join_journal, rank_file
   public :: rank_files_in, rank_files_of, task_ids_in, check_lock
   public :: write_finished, sync_finished, write_state, read_state
 
@@ -56,9 +55,10 @@ module battery_journal
 
 contains
 
-  !> Name of the rank file with a number.
+  !> Name of the rank file with a number, of which `next_result` reads the records.
   pure function rank_file(journal, number) result(name)
     type(journal_type), intent(in) :: journal
+    !> As in `rank_files_of`.
     integer, intent(in) :: number
     character(len=:), allocatable :: name
 
@@ -205,38 +205,6 @@ contains
     journal%ranks = ranks
     journal%mine = rank_files + rank
   end subroutine join_journal
-
-  !> Opens a rank file for `next_result`; a missing file has no results.
-  subroutine open_rank_file(journal, file, reader)
-    type(journal_type), intent(in) :: journal
-    !> Number of the rank file.
-    integer, intent(in) :: file
-    !> Reader of the rank file, to be closed with `close_records`.
-    type(record_reader_type), intent(out) :: reader
-
-    call open_records(reader, rank_file(journal, file))
-  end subroutine open_rank_file
-
-  !> Reads the next valid result of a rank file.
-  subroutine next_result(reader, result, at, found)
-    !> Reader of a record file, open.
-    type(record_reader_type), intent(inout) :: reader
-    !> Result of the next task in the file.
-    type(task_result_type), intent(out) :: result
-    !> Offset of the record in the file, in bytes; `reader%at` may be set to it.
-    integer(int64), intent(out) :: at
-    !> Whether there is such a record.
-    logical, intent(out) :: found
-    type(record_type) :: record
-
-    do
-      at = reader%at
-      call next_record(reader, record, found)
-      if (.not. found) exit
-      call from_record(record, result, found)
-      if (found) exit
-    end do
-  end subroutine next_result
 
   !> Writes the result of a finished task at once, so that it survives the end of the program. The
   !> file is synced to disk, so that it survives a crash of the machine, unless that was done

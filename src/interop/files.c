@@ -198,32 +198,40 @@ int battery_is_standard_output(const char *path) {
     && found.st_dev == output.st_dev && found.st_ino == output.st_ino && access_mode != O_RDONLY;
 }
 
-/* Writes bytes to an open file or pipe, all of them: a full disk, also one that is found out late, cannot
-   go unnoticed if `close` or `fsync` is checked as well. */
-int battery_write_all(int descriptor, const char *bytes, size_t length) {
-  while (length > 0) {
-    ssize_t written = write(descriptor, bytes, length);
-    if (written < 0 && errno == EAGAIN) {
-      struct pollfd ready = {.fd = descriptor, .events = POLLOUT};
-      poll(&ready, 1, -1);
-    } else if (written < 0 && errno != EINTR) {
-      return errno;
-    } else if (written > 0) {
-      bytes += written;
-      length -= (size_t)written;
-    }
-  }
-  return 0;
-}
-
 /* Writes a whole file, which is emptied first unless it is standard output, to which is appended. */
 int battery_write_file(const char *path, const char *bytes, size_t length) {
   int shared = battery_is_standard_output(path);
   int descriptor = shared ? STDOUT_FILENO
     : open(path, O_WRONLY | O_CREAT | O_TRUNC | O_NOCTTY | O_CLOEXEC, 0666);
   if (descriptor < 0) return errno;
-  int status = battery_write_all(descriptor, bytes, length);
+  int status = 0;
+  while (length > 0 && status == 0) {
+    ssize_t written = write(descriptor, bytes, length);
+    if (written < 0 && errno == EAGAIN) {
+      struct pollfd ready = {.fd = descriptor, .events = POLLOUT};
+      poll(&ready, 1, -1);
+    } else if (written < 0 && errno != EINTR) {
+      status = errno;
+    } else if (written > 0) {
+      bytes += written;
+      length -= (size_t)written;
+    }
+  }
   return shared || close(descriptor) == 0 || status != 0 ? status : errno;
+}
+
+/* Writes bytes to an open file, all of them, from an offset on. If `close` is checked too, no failure goes
+   unnoticed: a full disk may be found out only then. */
+int battery_write_at(int descriptor, const char *bytes, size_t length, int64_t at) {
+  while (length > 0) {
+    ssize_t written = pwrite(descriptor, bytes, length, at);
+    if (written < 0 && errno != EINTR) return errno;
+    if (written <= 0) continue;
+    bytes += written;
+    length -= (size_t)written;
+    at += written;
+  }
+  return 0;
 }
 
 /* Bytes of an array. gfortran 11 gives an empty array the extent -1. */
@@ -241,11 +249,10 @@ int battery_write_parts(const char *path, int64_t at, const CFI_cdesc_t *first, 
   const CFI_cdesc_t *part[3] = {first, second, third};
   int status = at == 0 ? battery_create_new(path) : 0;
   if (status != 0) return status;
-  int descriptor = open(path, O_WRONLY | O_NOFOLLOW | O_CLOEXEC);
+  int descriptor = open(path, O_WRONLY | O_CREAT | O_NOFOLLOW | O_CLOEXEC, 0666);
   if (descriptor < 0) return errno;
-  if (lseek(descriptor, at, SEEK_SET) < 0) status = errno;
   for (int k = 0; k < 3 && status == 0; k++) {
-    status = battery_write_all(descriptor, part[k]->base_addr, bytes_of(part[k]));
+    status = battery_write_at(descriptor, part[k]->base_addr, bytes_of(part[k]), at);
     at += (int64_t)bytes_of(part[k]);
   }
   if (status == 0 && ftruncate(descriptor, at) != 0) status = errno;

@@ -22,9 +22,9 @@ module battery_hdf5_datasets
   implicit none (type, external)
   private
   public :: serialize_dataset, write_dataset, write_scale, write_dimension, extents_of
-  public :: dataset_type, prepare_dataset, serialize_column, release_dataset
+  public :: dataset_type, prepare_dataset, serialize_slab, release_dataset
 
-  !> A dataset whose columns are written or read one by one.
+  !> A dataset whose parts are written or read one by one.
   type :: dataset_type
     private
     character(len=:), allocatable :: path
@@ -96,8 +96,8 @@ contains
   end subroutine serialize_dataset
 
   !> Makes a dataset with fill values in a new file, or opens and checks one of a file that is read,
-  !> so that one procedure declares the contents for both; `serialize_column` then writes or reads
-  !> its columns. Does nothing after an error.
+  !> so that one procedure declares the contents for both; `serialize_slab` then writes or reads
+  !> parts of it. Does nothing after an error.
   subroutine prepare_dataset(file, path, extents, unknown, units, long_name, error, scales, dataset)
     !> File, open.
     type(hdf5_file_type), intent(in) :: file
@@ -128,35 +128,31 @@ contains
     end if
   end subroutine prepare_dataset
 
-  !> Writes a column (the values along the first dimension) to a dataset of a new file, or reads it
-  !> from a file. Columns should be passed in the order of the dataset, which fills one chunk after
-  !> the other: HDF5 keeps one chunk in memory, and compresses it when the next one begins. Does
-  !> nothing after an error.
-  subroutine serialize_column(file, dataset, values, first, error)
+  !> Writes values to a part of a dataset of a new file, or reads them from a file. Parts should be
+  !> passed in the order of the dataset, which fills one chunk after the other: HDF5 keeps one chunk
+  !> in memory, and compresses it when the next one begins. Does nothing after an error.
+  subroutine serialize_slab(file, dataset, values, extents, first, error)
     !> File, open.
     type(hdf5_file_type), intent(in) :: file
     !> Dataset from `prepare_dataset`.
     type(dataset_type), intent(in) :: dataset
-    !> Array of rank 1, as `array_view_of` takes it.
+    !> Array of as many values as the part has; HDF5 converts integers and reals.
     type(*), intent(inout), target, contiguous :: values(..)
-    !> Indices of the first value in the dataset, from 1, in Fortran order.
-    integer, intent(in) :: first(:)
+    !> Extents of the part, and indices of its first value, from 1, in Fortran order.
+    integer, intent(in) :: extents(:), first(:)
     type(error_type), allocatable, intent(inout) :: error
     type(array_view_type) :: memory
-    integer(hsize_t) :: extents(size(first))
     integer(hid_t) :: space, part
     integer :: status
 
+    if (allocated(error)) return
     memory = array_view_of(values)
-    if (allocated(error) .or. product(memory%extents) == 0) return
-    extents = 1
-    extents(1) = product(memory%extents)
     space = no_handle
     part = no_handle
     call h5dget_space_f(dataset%id, space, status)
     if (status == 0) call h5sselect_hyperslab_f(space, h5s_select_set_f, &
-      int(first - 1, hsize_t), extents, status)
-    if (status == 0) call h5screate_simple_f(1, extents(:1), part, status)
+      int(first - 1, hsize_t), int(extents, hsize_t), status)
+    if (status == 0) call h5screate_simple_f(size(extents), int(extents, hsize_t), part, status)
     if (status == 0 .and. file%is_new) then
       call h5dwrite_f(dataset%id, memory%value_type, memory%address, status, part, space)
     else if (status == 0) then
@@ -166,7 +162,7 @@ contains
     call release_handle(space, status)
     call check_status(file, dataset%path, merge('cannot be written', 'cannot be read   ', &
       file%is_new), status, error)
-  end subroutine serialize_column
+  end subroutine serialize_slab
 
   !> Closes a dataset; one that is not open is no error.
   subroutine release_dataset(file, dataset, error)

@@ -1,292 +1,309 @@
-!> Output of tasks over time in a results file: series, snapshots, final states, events.
+!> Output of tasks over time: series, snapshots, final states, events.
 !>
-!> These are the large part of the file, so the output of at most one task is in memory. The
-!> datasets are prepared for all tasks, (.., replica, point), filled with NaN or -1; then the output
-!> of each task is read from its record and written into its hyperslab. Reading uses the same code:
-!> one procedure names the datasets for both, and `file%is_new` says which is meant. A column has
-!> the values of one task in a dataset; tasks should be passed in the order of their numbers
-!> (`serialize_column`).
+!> Each dataset of it is declared once, in `outputs`: from this list a task's output is written to a
+!> record and read from it (`serialize_outputs`), and written to its hyperslabs of a results file
+!> and read from them (`serialize_slabs`). These are the large part of a results file, so the output
+!> of at most one task is in memory: the datasets are prepared for all tasks, (.., replica, point),
+!> filled with NaN or -1; then the output of each task is exchanged, in the order of the tasks, which
+!> fills one chunk after the other. Events are those of the only task (`write_events`).
 module battery_task_output
-  use battery_kinds, only: dp, int32
+  use, intrinsic :: ieee_arithmetic, only: ieee_is_nan
+  use battery_kinds, only: dp, int32, int64
+  use battery_archive, only: archive_type
   use battery_error, only: error_type
-  use battery_hdf5_file, only: hdf5_file_type, make_group
   use battery_hdf5_attributes, only: write_attribute, write_text_attribute
-  use battery_hdf5_datasets, only: dataset_type, prepare_dataset, serialize_column, &
-    release_dataset, write_dataset, write_scale, write_dimension
+  use battery_hdf5_datasets, only: dataset_type, prepare_dataset, serialize_slab, release_dataset, &
+    write_dataset, write_scale, write_dimension
+  use battery_hdf5_file, only: hdf5_file_type, make_group
+  use battery_plan, only: plan_type
   use battery_quantities, only: quantity_type, averaged_quantities, place_of, flow_names, &
     unknown_count, unknown_real
   implicit none (type, external)
   private
-  public :: task_output_type, output_extents_type, output_datasets_type, task_dimensions
-  public :: prepare_output_datasets, write_task_output, read_task_output, close_output_datasets, &
-    write_events, write_counting_scale
+  public :: task_output_type, values_type, serialize_outputs, ended_early
+  public :: output_datasets_type, prepare_outputs, serialize_slabs, close_outputs, write_events, &
+    write_counting_scale, task_dimensions
+  public :: series, snapshots, final, events, first_of
 
-  !> Output of one task over time. Arrays without contents are empty or not allocated; after
-  !> reading, all are allocated.
+  !> Groups of datasets, and the place of the first of each in the list: N1 and the four flows; x, y,
+  !> ux, uy; the same; time, kind, where, particle.
+  integer, parameter :: series = 1, snapshots = 2, final = 3, events = 4
+  integer, parameter :: first_of(5) = [1, 6, 10, 14, 18]
+  character(len=*), parameter :: group_path(4) = [character(len=10) :: '/series', '/snapshots', &
+    '/final', '/events']
+
+  !> A dataset of task output.
+  type :: output_type
+    character(len=21) :: path = ''
+    character(len=6) :: unit = ''
+    character(len=112) :: meaning = ''
+    integer :: group = 0
+    !> Whether the dataset has integers of 32 bits.
+    logical :: is_count = .false.
+  end type output_type
+
+  !> Values of a task in one dataset.
+  type :: values_type
+    real(dp), allocatable :: values(:)
+  end type values_type
+
+  !> Output of one task, in the order of `outputs`: values along time, or of all particles, those of
+  !> one snapshot after the other. Values that a task does not have are empty or not allocated.
   type :: task_output_type
-    !> Series: N1, and flows as (4, entry), which is 1_12, 1_21, 2_12, 2_21.
-    integer(int32), allocatable :: series_urn1_number(:)
-    real(dp), allocatable :: series_flow(:)
-    !> Snapshots one after the other: x, y, ux, uy of all particles; the final state likewise.
-    real(dp), allocatable :: snapshots(:), final_state(:)
-    !> Events: kind, where, particle one after the other; times.
-    integer(int32), allocatable :: events(:)
-    real(dp), allocatable :: event_times(:)
+    type(values_type) :: of(first_of(5) - 1)
   end type task_output_type
 
-  !> Greatest extents over all tasks of a file; 0: the file has no such dataset.
-  type :: output_extents_type
-    !> Number of entries of the series, and of snapshots.
-    integer :: entries = 0, snapshots = 0
-    !> Number of particles of snapshots, and of final states.
-    integer :: particles = 0, final_particles = 0
-    !> Number of replicas and of points, complete or not.
-    integer :: replicas = 0, points = 0
-  end type output_extents_type
-
-  !> Datasets of an open file that hold one or more columns for each task.
+  !> Datasets of an open file, all but those of events.
   type :: output_datasets_type
-    type(output_extents_type) :: largest
-    !> N1 and the flows; x, y, ux, uy.
-    type(dataset_type), private :: urn1_number, flow(4), snapshot(4), final(4)
+    !> Length of the first dimension of each group: greatest number of entries, or of particles, of
+    !> any task; 0: the file has no such group.
+    integer :: length(3) = 0
+    !> Number of snapshots.
+    integer, private :: times = 0
+    type(dataset_type), private :: dataset(first_of(4) - 1)
   end type output_datasets_type
 
   !> Paths of the dimension scales of numbers that every task has, in Fortran order.
   character(len=*), parameter :: task_dimensions(*) = [character(len=8) :: '/replica', '/point']
 
-  !> Texts for the meaning of times and of numbers of particles.
+  !> Text for the meaning of times.
   character(len=*), parameter :: since_start = 'time since the start'
-  character(len=*), parameter :: in_order = 'particle, from 1, in the order of the initial file'
 
 contains
 
-  !> Creates the datasets of a new file, or opens those of a file that is read, which must have
-  !> these extents. Does nothing after an error.
-  subroutine prepare_output_datasets(file, largest, series_interval, snapshot_time, &
-    output_datasets, error)
-    !> File, open.
-    type(hdf5_file_type), intent(in) :: file
-    !> Extents of the datasets; a dataset with an extent of 0 does not exist.
-    type(output_extents_type), intent(in) :: largest
-    !> Time between two entries, and times of the snapshots, since the start: for the dimension
-    !> scales of a new file.
-    real(dp), intent(in) :: series_interval, snapshot_time(:)
-    !> Open datasets, to be closed with `close_output_datasets`.
-    type(output_datasets_type), intent(out) :: output_datasets
-    type(error_type), allocatable, intent(inout) :: error
-
-    output_datasets%largest = largest
-    if (largest%entries > 0) call prepare_series(file, largest, series_interval, output_datasets, &
-      error)
-    if (largest%snapshots > 0 .and. largest%particles > 0) then
-      if (file%is_new) then
-        call make_group(file, '/snapshots', error)
-        call write_scale(file, '/snapshots/time', snapshot_time, 'time', since_start, error)
-        call write_counting_scale(file, '/snapshots/particle', 1, largest%particles, in_order, &
-          error)
-      end if
-      call prepare_states(file, '/snapshots', [largest%particles, largest%snapshots, &
-        largest%replicas, largest%points], [character(len=19) :: '/snapshots/particle', &
-        '/snapshots/time', task_dimensions], output_datasets%snapshot, error)
-    end if
-    if (largest%final_particles > 0) then
-      if (file%is_new) then
-        call make_group(file, '/final', error)
-        call write_counting_scale(file, '/final/particle', 1, largest%final_particles, in_order, &
-          error)
-      end if
-      call prepare_states(file, '/final', [largest%final_particles, largest%replicas, &
-        largest%points], [character(len=15) :: '/final/particle', task_dimensions], &
-        output_datasets%final, error)
-    end if
-  end subroutine prepare_output_datasets
-
-  !> Prepares the datasets of the series: N1 and the flows.
-  subroutine prepare_series(file, largest, interval, output_datasets, error)
-    type(hdf5_file_type), intent(in) :: file
-    type(output_extents_type), intent(in) :: largest
-    real(dp), intent(in) :: interval
-    type(output_datasets_type), intent(inout) :: output_datasets
-    type(error_type), allocatable, intent(inout) :: error
-    character(len=*), parameter :: by_time(*) = [character(len=12) :: '/series/time', &
-      task_dimensions]
-    type(quantity_type), allocatable :: list(:)
-    integer :: extents(3), k
-
-    extents = [largest%entries, largest%replicas, largest%points]
-    if (file%is_new) then
-      call make_group(file, '/series', error)
-      call write_scale(file, '/series/time', [(real(k - 1, dp)*interval, k=1, largest%entries)], &
-        'time', since_start, error)
-    end if
-    call prepare_dataset(file, '/series/urn1_number', extents, int(unknown_count, int32), '1', &
-      'particles at x < 0', error, by_time, output_datasets%urn1_number)
-    call write_attribute(file, '/series/urn1_number', '_FillValue', int(unknown_count, int32), &
-      error)
-    list = averaged_quantities()
-    do k = 1, 4
-      associate (flow => list(place_of(flow_names(k), list)))
-        call prepare_dataset(file, '/series/'//trim(flow%name), extents, unknown_real(), &
-          trim(flow%unit), trim(flow%meaning)//', since the previous entry', error, by_time, &
-          output_datasets%flow(k))
-      end associate
-    end do
-  end subroutine prepare_series
-
-  !> Prepares datasets of positions and velocities.
-  subroutine prepare_states(file, group, extents, scales, states, error)
-    type(hdf5_file_type), intent(in) :: file
-    character(len=*), intent(in) :: group, scales(:)
-    integer, intent(in) :: extents(:)
-    type(dataset_type), intent(inout) :: states(4)
-    type(error_type), allocatable, intent(inout) :: error
-    character(len=*), parameter :: names(4) = [character(len=2) :: 'x', 'y', 'ux', 'uy']
-    character(len=*), parameter :: units(4) = [character(len=6) :: 'length', 'length', '1', '1']
-    character(len=*), parameter :: meanings(4) = [character(len=10) :: 'position x', &
-      'position y', 'velocity x', 'velocity y']
+  !> All datasets of task output.
+  pure function outputs() result(list)
+    type(output_type) :: list(first_of(5) - 1)
+    type(quantity_type), allocatable :: quantities(:)
     integer :: k
 
+    quantities = averaged_quantities()
+    list(1) = output_type('/series/urn1_number', '1', 'particles at x < 0', series, .true.)
     do k = 1, 4
-      call prepare_dataset(file, group//'/'//trim(names(k)), extents, unknown_real(), &
-        trim(units(k)), meanings(k), error, scales, states(k))
+      associate (flow => quantities(place_of(flow_names(k), quantities)))
+        list(1 + k) = output_type('/series/'//flow%name, flow%unit, trim(flow%meaning) &
+          //', since the previous entry', series)
+      end associate
     end do
-  end subroutine prepare_states
+    do k = snapshots, final
+      list(first_of(k):first_of(k) + 3) = [ &
+        output_type(trim(group_path(k))//'/x', 'length', 'position x', k), &
+        output_type(trim(group_path(k))//'/y', 'length', 'position y', k), &
+        output_type(trim(group_path(k))//'/ux', '1', 'velocity x', k), &
+        output_type(trim(group_path(k))//'/uy', '1', 'velocity y', k)]
+    end do
+    list(first_of(events):) = [ &
+      output_type('/events/time', 'time', since_start, events), &
+      output_type('/events/kind', '1', 'what happens', events, .true.), &
+      output_type('/events/where', '1', 'gate (1 or 2), or direction of a crossing (12 or 21)', &
+      events, .true.), &
+      output_type('/events/particle', '1', &
+      'particle, from 1; of a reversal, how many particles it reverses', events, .true.)]
+  end function outputs
 
-  !> Writes the output of a task into its hyperslabs of a new file. Does nothing after an error.
-  subroutine write_task_output(file, output_datasets, replica, point, task_output, error)
-    !> File, open, as the datasets in it are.
+  !> Writes the output of a task to an archive, or reads it; then all values are allocated.
+  subroutine serialize_outputs(output, archive)
+    type(task_output_type), intent(inout) :: output
+    type(archive_type), intent(inout) :: archive
+    type(output_type) :: list(size(output%of))
+    integer(int64) :: length(size(output%of))
+    integer :: k
+
+    list = outputs()
+    do k = 1, size(list)
+      if (.not. allocated(output%of(k)%values)) allocate (output%of(k)%values(0))
+      length(k) = size(output%of(k)%values)
+    end do
+    call archive%serialize('lengths', length)
+    if (archive%reading .and. any(length < 0 .or. length > size(archive%word, kind=int64))) &
+      archive%problem = 'the output has a length that it cannot have'
+    if (archive%failed()) return
+    do k = 1, size(list)
+      if (archive%reading) then
+        deallocate (output%of(k)%values)
+        allocate (output%of(k)%values(length(k)))
+      end if
+      if (length(k) > 0) call archive%serialize(trim(list(k)%path), output%of(k)%values)
+    end do
+  end subroutine serialize_outputs
+
+  !> Creates the datasets of a new file, or opens those of a file that is read, which must have
+  !> these extents. Does nothing after an error.
+  subroutine prepare_outputs(file, plan, length, datasets, error)
+    !> File, open.
     type(hdf5_file_type), intent(in) :: file
-    type(output_datasets_type), intent(in) :: output_datasets
-    !> Indices of the task, from 1.
-    integer, intent(in) :: replica, point
-    !> Output of the task, at most as long as the datasets; not changed.
-    type(task_output_type), intent(inout) :: task_output
+    !> Plan of the file.
+    type(plan_type), intent(in) :: plan
+    !> Length of the first dimension of each group.
+    integer, intent(in) :: length(3)
+    !> Open datasets, to be closed with `close_outputs`.
+    type(output_datasets_type), intent(out) :: datasets
     type(error_type), allocatable, intent(inout) :: error
+    type(output_type) :: list(first_of(5) - 1)
+    character(len=19) :: scales(4)
+    integer, allocatable :: extents(:)
+    integer :: k
 
-    call serialize_series(file, output_datasets, replica, point, task_output, error)
-    call serialize_states(file, output_datasets%snapshot, [replica, point], &
-      output_datasets%largest%snapshots, task_output%snapshots, error)
-    call serialize_states(file, output_datasets%final, [replica, point], 0, &
-      task_output%final_state, error)
-  end subroutine write_task_output
+    list = outputs()
+    datasets%length = length
+    datasets%times = size(plan%snapshot_times)
+    do k = 1, size(datasets%dataset)
+      associate (one => list(k), group => group_path(list(k)%group))
+        if (length(one%group) == 0) cycle
+        if (file%is_new .and. k == first_of(one%group)) &
+          call write_group(file, plan, one%group, length(one%group), error)
+        scales = [character(len=19) :: trim(group)//merge('/time    ', '/particle', one%group &
+          == series), '/snapshots/time', task_dimensions]
+        extents = in_group(one%group, [length(one%group), datasets%times, plan%replicas, &
+          plan%point_count])
+        if (one%is_count) then
+          call prepare_dataset(file, trim(one%path), extents, int(unknown_count, int32), &
+            trim(one%unit), trim(one%meaning), error, pack(scales, has_dimension(one%group)), &
+            datasets%dataset(k))
+          call write_attribute(file, trim(one%path), '_FillValue', int(unknown_count, int32), error)
+        else
+          call prepare_dataset(file, trim(one%path), extents, unknown_real(), trim(one%unit), &
+            trim(one%meaning), error, pack(scales, has_dimension(one%group)), datasets%dataset(k))
+        end if
+      end associate
+    end do
+  end subroutine prepare_outputs
 
-  !> Reads the output of a task without its events; empty after an error.
-  subroutine read_task_output(file, output_datasets, replica, point, number, task_output, error)
+  !> Which of the dimensions (entry or particle, snapshot, replica, point) a group has.
+  pure function has_dimension(group) result(yes)
+    integer, intent(in) :: group
+    logical :: yes(4)
+
+    yes = [.true., group == snapshots, .true., .true.]
+  end function has_dimension
+
+  !> The numbers of those dimensions that a group has.
+  pure function in_group(group, numbers) result(chosen)
+    integer, intent(in) :: group, numbers(4)
+    integer, allocatable :: chosen(:)
+
+    chosen = pack(numbers, has_dimension(group))
+  end function in_group
+
+  !> Makes a group in a new file, with its dimension scales.
+  subroutine write_group(file, plan, group, length, error)
+    type(hdf5_file_type), intent(in) :: file
+    type(plan_type), intent(in) :: plan
+    integer, intent(in) :: group, length
+    type(error_type), allocatable, intent(inout) :: error
+    integer :: k
+
+    call make_group(file, trim(group_path(group)), error)
+    if (group == series) call write_scale(file, '/series/time', [(real(k - 1, dp) &
+      *real(plan%series_interval, dp), k=1, length)], 'time', since_start, error)
+    if (group == snapshots) call write_scale(file, '/snapshots/time', real(plan%snapshot_times, &
+      dp), 'time', since_start, error)
+    if (group /= series) call write_counting_scale(file, trim(group_path(group))//'/particle', 1, &
+      length, 'particle, from 1, in the order of the initial file', error)
+  end subroutine write_group
+
+  !> Writes the output of a task, all but events, to its hyperslabs of a new file, or reads it; then
+  !> all values are allocated. Does nothing after an error.
+  subroutine serialize_slabs(file, datasets, replica, point, number, output, error)
     !> File, open, as the datasets in it are.
     type(hdf5_file_type), intent(in) :: file
-    type(output_datasets_type), intent(in) :: output_datasets
-    !> Replica and point of the task, from 1; number of its particles.
+    type(output_datasets_type), intent(in) :: datasets
+    !> Indices of the task, from 1, and its number of particles.
     integer, intent(in) :: replica, point, number
-    type(task_output_type), intent(out) :: task_output
+    !> Output of the task; if it is written, all values are allocated, at most as long as the
+    !> datasets.
+    type(task_output_type), intent(inout) :: output
     type(error_type), allocatable, intent(inout) :: error
-    integer :: entries
+    integer :: k, group, times, length(4)
 
-    associate (largest => output_datasets%largest)
-      allocate (task_output%series_urn1_number(largest%entries), &
-        task_output%series_flow(4*largest%entries))
-      allocate (task_output%snapshots(4*min(number, largest%particles)*largest%snapshots))
-      allocate (task_output%final_state(4*min(number, largest%final_particles)))
-      allocate (task_output%events(0), task_output%event_times(0))
-      call serialize_series(file, output_datasets, replica, point, task_output, error)
-      call serialize_states(file, output_datasets%snapshot, [replica, point], largest%snapshots, &
-        task_output%snapshots, error)
-      call serialize_states(file, output_datasets%final, [replica, point], 0, &
-        task_output%final_state, error)
+    associate (longest => datasets%length)
+      length = [longest(series), min(number, longest(snapshots))*datasets%times, &
+        min(number, longest(final)), 0]
     end associate
-    ! Series may have fewer entries than the dataset.
-    entries = 0
-    if (.not. allocated(error)) entries = count(task_output%series_urn1_number >= 0)
-    task_output%series_urn1_number = task_output%series_urn1_number(:entries)
-    task_output%series_flow = task_output%series_flow(:4*entries)
-  end subroutine read_task_output
-
-  !> Writes or reads the series of a task.
-  subroutine serialize_series(file, output_datasets, replica, point, task_output, error)
-    type(hdf5_file_type), intent(in) :: file
-    type(output_datasets_type), intent(in) :: output_datasets
-    integer, intent(in) :: replica, point
-    type(task_output_type), intent(inout) :: task_output
-    type(error_type), allocatable, intent(inout) :: error
-    real(dp), allocatable :: flow(:)
-    integer :: first(3), k
-
-    if (size(task_output%series_urn1_number) == 0) return
-    first = [1, replica, point]
-    call serialize_column(file, output_datasets%urn1_number, task_output%series_urn1_number, &
-      first, error)
-    do k = 1, 4
-      flow = task_output%series_flow(k::4)
-      call serialize_column(file, output_datasets%flow(k), flow, first, error)
-      if (.not. file%is_new) task_output%series_flow(k::4) = flow
+    do k = 1, size(output%of)
+      group = count(k >= first_of(:4))
+      times = merge(datasets%times, 1, group == snapshots)
+      if (.not. file%is_new) then
+        if (allocated(output%of(k)%values)) deallocate (output%of(k)%values)
+        allocate (output%of(k)%values(length(group)), source=-1.0_dp)
+      end if
+      associate (values => output%of(k)%values)
+        if (group < events .and. size(values) > 0) call serialize_slab(file, datasets%dataset(k), &
+          values, in_group(group, [size(values)/times, times, 1, 1]), &
+          in_group(group, [1, 1, replica, point]), error)
+      end associate
     end do
-  end subroutine serialize_series
+    if (.not. file%is_new) call drop_padding(output)
+  end subroutine serialize_slabs
 
-  !> Writes or reads the states of a task at `times` times; 0: the datasets have no dimension of
-  !> time.
-  subroutine serialize_states(file, states, task, times, flat, error)
-    type(hdf5_file_type), intent(in) :: file
-    type(dataset_type), intent(in) :: states(4)
-    !> Replica and point.
-    integer, intent(in) :: task(2), times
-    !> States, one time after the other: x, y, ux, uy of all particles.
-    real(dp), intent(inout) :: flat(:)
-    type(error_type), allocatable, intent(inout) :: error
-    integer :: n, at, time, k
+  !> Drops the unknown values at the end of series: they may be shorter than the datasets.
+  subroutine drop_padding(output)
+    type(task_output_type), intent(inout) :: output
+    integer :: k, entries
 
-    if (size(flat) == 0) return
-    n = size(flat)/(4*max(times, 1))
-    at = 0
-    do time = 1, max(times, 1)
-      do k = 1, 4
-        call serialize_column(file, states(k), flat(at + 1:at + n), [1, pack([time], times > 0), &
-          task], error)
-        at = at + n
-      end do
+    entries = count(output%of(first_of(series))%values >= 0.0_dp)
+    do k = first_of(series), first_of(series + 1) - 1
+      output%of(k)%values = output%of(k)%values(:entries)
     end do
-  end subroutine serialize_states
+  end subroutine drop_padding
+
+  !> Whether a run with a given number of collisions ended before the last of `times` snapshots: its
+  !> first number is NaN. The summary counts such runs.
+  pure logical function ended_early(output, times) result(yes)
+    type(task_output_type), intent(in) :: output
+    integer, intent(in) :: times
+
+    yes = .false.
+    associate (x => output%of(first_of(snapshots))%values)
+      if (size(x) > 0) yes = ieee_is_nan(x(1 + size(x)/times*(times - 1)))
+    end associate
+  end function ended_early
 
   !> Closes the datasets of a file that is still open.
-  subroutine close_output_datasets(file, output_datasets, error)
+  subroutine close_outputs(file, datasets, error)
     !> File, still open.
     type(hdf5_file_type), intent(in) :: file
     !> Datasets, which may be open.
-    type(output_datasets_type), intent(inout) :: output_datasets
+    type(output_datasets_type), intent(inout) :: datasets
     !> Not all values could be written to a new file; an earlier error is kept.
     type(error_type), allocatable, intent(inout) :: error
     integer :: k
 
-    call release_dataset(file, output_datasets%urn1_number, error)
-    do k = 1, 4
-      call release_dataset(file, output_datasets%flow(k), error)
-      call release_dataset(file, output_datasets%snapshot(k), error)
-      call release_dataset(file, output_datasets%final(k), error)
+    do k = 1, size(datasets%dataset)
+      call release_dataset(file, datasets%dataset(k), error)
     end do
-  end subroutine close_output_datasets
+  end subroutine close_outputs
 
   !> Writes the event log of the only task. Does nothing after an error.
-  subroutine write_events(file, task_output, error)
+  subroutine write_events(file, output, error)
     !> New file, open for writing.
     type(hdf5_file_type), intent(in) :: file
-    type(task_output_type), intent(in) :: task_output
+    !> Output of the task, all values allocated.
+    type(task_output_type), intent(in) :: output
     type(error_type), allocatable, intent(inout) :: error
     character(len=*), parameter :: by_event(*) = ['/events/event']
-    integer :: n
+    type(output_type) :: list(size(output%of))
+    integer :: k
 
-    n = size(task_output%event_times)
+    list = outputs()
     call make_group(file, '/events', error)
-    call write_dimension(file, '/events/event', n, 'events in the order of time', error)
-    call write_dataset(file, '/events/time', task_output%event_times, 'time', since_start, error, &
-      by_event)
-    call write_dataset(file, '/events/kind', task_output%events(:n), '1', 'what happens', error, &
-      by_event)
+    call write_dimension(file, '/events/event', size(output%of(first_of(events))%values), &
+      'events in the order of time', error)
+    do k = first_of(events), size(list)
+      associate (one => list(k), values => output%of(k)%values)
+        if (one%is_count) then
+          call write_dataset(file, trim(one%path), int(values, int32), trim(one%unit), &
+            trim(one%meaning), error, by_event)
+        else
+          call write_dataset(file, trim(one%path), values, trim(one%unit), trim(one%meaning), &
+            error, by_event)
+        end if
+      end associate
+    end do
     call write_attribute(file, '/events/kind', 'flag_values', [1_int32, 2_int32, 3_int32, &
       4_int32], error)
     call write_text_attribute(file, '/events/kind', 'flag_meanings', &
       'enters_gate gate_reverses crosses_channel_1 crosses_channel_2', error)
-    call write_dataset(file, '/events/where', task_output%events(n + 1:2*n), '1', &
-      'gate (1 or 2), or direction of a crossing (12 or 21)', error, by_event)
-    call write_dataset(file, '/events/particle', task_output%events(2*n + 1:3*n), '1', &
-      'particle, from 1; of a reversal, how many particles it reverses', error, by_event)
   end subroutine write_events
 
   !> Writes a dimension scale with the coordinates `first`, `first` + 1, ... Does nothing after an
