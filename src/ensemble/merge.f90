@@ -24,8 +24,7 @@ module battery_merge
     task_not_asked, point_undecided, all_tasks_complete
   use battery_results_file, only: results_file_type, create_results, write_results, &
     publish_results, open_results, read_results, close_results
-  use battery_task_output, only: prepare_outputs, serialize_slabs, write_events, ended_early, &
-    series, snapshots, final, first_of
+  use battery_task_output, only: prepare_outputs, serialize_slabs, ended_early, series, events
   use battery_task_result, only: task_result_type, next_result
   use battery_tasks, only: task_type, task_count, task_of, task_index_type, task_index_of, &
     task_number_of, task_id_in_results
@@ -52,7 +51,7 @@ module battery_merge
     !> Place of the output of each task.
     type(place_type), allocatable, private :: place(:)
     !> Greatest number of entries, or of particles, of any task in each group of outputs.
-    integer, private :: length(3) = 0
+    integer, private :: length(4) = 0
   end type sources_type
 
 contains
@@ -86,7 +85,8 @@ contains
     call create_results(plan%file, file, error)
     call write_description(file%hdf5_file_type, plan, journal%ranks, start_date, results, error)
     call write_results(file%hdf5_file_type, results, error)
-    call prepare_outputs(file%hdf5_file_type, plan, sources%length, file%outputs, error)
+    call prepare_outputs(file%hdf5_file_type, plan, sources%length, plan%event_log .and. any( &
+      results%task_status <= task_failed), file%outputs, error)
     call copy_outputs(plan, journal, sources, file, results, error)
     call close_results(sources%old)
     call publish_results(plan%file, file, journal%lock%before, error)
@@ -169,7 +169,7 @@ contains
     type(task_index_type) :: task_index
     type(place_type) :: place
     integer, allocatable :: files(:)
-    integer :: k
+    integer :: k, group
     logical :: is_one
 
     allocate (failures(task_count(plan)), sources%place(task_count(plan)))
@@ -183,8 +183,7 @@ contains
       do
         call next_result(reader, found, place%at, is_one)
         if (.not. is_one) exit
-        call add_result(found, place, [size(found%of(first_of(series))%values), &
-          size(found%of(first_of(snapshots))%values), size(found%of(first_of(final))%values)])
+        call add_result(found, place, [(size(found%of(group)%values, 1), group=1, size(found%of))])
       end do
       call close_records(reader)
     end do
@@ -225,8 +224,9 @@ contains
     subroutine add_result(one, place, length)
       type(task_result_type), intent(in) :: one
       type(place_type), intent(in) :: place
-      !> Number of entries of the series; greater than 0 if there are snapshots and a final state.
-      integer, intent(in) :: length(3)
+      !> Numbers of entries of the series and of events; greater than 0 if there are snapshots and a
+      !> final state.
+      integer, intent(in) :: length(4)
       type(task_type) :: task
       integer :: number
 
@@ -242,8 +242,10 @@ contains
         results%counted(r, p, place_of('provenance/host', counted_quantities())) &
           = index_in_list(one%host, results%host)
       end associate
-      sources%length = max(sources%length, merge([length(series), task%number, task%number], 0, &
-        length > 0))
+      associate (n => task%number)
+        sources%length = max(sources%length, merge([length(series), n, n, length(events)], 0, &
+          length > 0))
+      end associate
       sources%place(number) = place
       if (allocated(failures(number)%text)) deallocate (failures(number)%text)
       if (one%status == task_failed) failures(number)%text = one%message
@@ -283,7 +285,7 @@ contains
     integer :: k, open_file
     logical :: is_one
 
-    if (all(sources%length == 0) .and. .not. plan%event_log) return
+    if (all(sources%length == 0)) return
     open_file = -1
     do k = 1, task_count(plan)
       if (allocated(error)) exit
@@ -308,7 +310,6 @@ contains
       if (allocated(error)) exit
       call serialize_slabs(file%hdf5_file_type, file%outputs, task%replica, task%point, &
         task%number, found%task_output_type, error)
-      if (plan%event_log) call write_events(file%hdf5_file_type, found%task_output_type, error)
       if (ended_early(found%task_output_type, size(plan%snapshot_times))) &
         results%short_tasks = results%short_tasks + 1
     end do

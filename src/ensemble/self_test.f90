@@ -7,7 +7,7 @@ module battery_self_test
   use battery_build_information, only: program_version, git_commit
   use battery_ensemble, only: run_ensemble
   use battery_error, only: error_type, fatal_error, exit_success
-  use battery_task_output, only: task_output_type, serialize_slabs, final, first_of
+  use battery_task_output, only: task_output_type, serialize_slabs, final
   use battery_files, only: remove_file
   use battery_frozen_log, only: frozen_log_type, read_frozen_log, find_difference, is_final_state
   use battery_frozen_logs, only: exact_circuit, exact_urn, timestep_circuit, reservoir_circuit
@@ -181,10 +181,9 @@ contains
       if (allocated(error)) exit
       call serialize_slabs(file%hdf5_file_type, file%outputs, k, 1, number, output, error)
       if (allocated(error)) exit
-      associate (state => output%of(first_of(final):))
-        if (.not. is_final_state(log, state(1)%values, state(2)%values, state(3)%values, &
-          state(4)%values)) call fatal_error(error, 'the final state of task '//to_text(k) &
-          //' in the file differs')
+      associate (states => output%of(final)%values)
+        if (.not. is_final_state(log, states(:, 1), states(:, 2), states(:, 3), states(:, 4))) &
+          call fatal_error(error, 'the final state of task '//to_text(k)//' in the file differs')
       end associate
     end do
     call close_results(file)

@@ -2,8 +2,7 @@
 module battery_task_result
   use battery_kinds, only: dp, int64
   use battery_clocks, only: utc_seconds
-  use battery_task_output, only: task_output_type, values_type, serialize_outputs, series, snapshots, final, &
-    events, first_of
+  use battery_task_output, only: task_output_type, serialize_output, series, snapshots, final, events
   use battery_engine, only: particles_type
   use battery_machine, only: machine_text
   use battery_observer, only: get_measured
@@ -40,7 +39,7 @@ contains
     real(dp), intent(in) :: cpu_seconds, start_date
     type(task_result_type) :: found
     type(particles_type) :: particles
-    integer :: k
+    integer :: n, k
 
     found%task = task%task
     found%task_id = task%task_id
@@ -56,55 +55,44 @@ contains
     call set_average(found%measured, 'provenance/begun', start_date)
     call set_average(found%measured, 'provenance/ended', utc_seconds())
     found%host = machine_text()
-    associate (observer => simulation%observer, output => found%of(first_of(series):))
-      output(1)%values = real(observer%series_urn1_number(:observer%entries), dp)
-      do k = 1, 4
-        output(1 + k)%values = real(observer%series_flow(k, :observer%entries), dp)
-      end do
+    associate (observer => simulation%observer, events_found => simulation%events)
+      n = observer%entries
+      allocate (found%of(series)%values(n, 5))
+      found%of(series)%values(:, 1) = real(observer%series_urn1_number(:n), dp)
+      found%of(series)%values(:, 2:) = real(transpose(observer%series_flow(:, :n)), dp)
+      n = events_found%count
+      allocate (found%of(events)%values(n, 4))
+      if (n > 0) then
+        associate (event => events_found%event(:n), table => found%of(events)%values)
+          table(:, 1) = real(event%time, dp)
+          table(:, 2) = real(event%kind, dp)
+          table(:, 3) = real(event%where, dp)
+          table(:, 4) = real(event%particle, dp)
+        end associate
+      end if
     end associate
-    if (simulation%events%count > 0) then
-      associate (event => simulation%events%event(:simulation%events%count), &
-        output => found%of(first_of(events):))
-        output(1)%values = real(event%time, dp)
-        output(2)%values = real(event%kind, dp)
-        output(3)%values = real(event%where, dp)
-        output(4)%values = real(event%particle, dp)
-      end associate
-    end if
     ! A run by collisions may end before the time of a snapshot.
-    do k = first_of(snapshots), first_of(snapshots) + 3
-      allocate (found%of(k)%values(simulation%engine%number*size(simulation%snapshot)), &
-        source=unknown_real())
-    end do
+    n = simulation%engine%number
+    allocate (found%of(snapshots)%values(n*size(simulation%snapshot), 4), source=unknown_real())
     do k = 1, simulation%snapshots_taken
-      call set_states(found%of(first_of(snapshots):first_of(snapshots) + 3), k, &
-        simulation%snapshot(k))
+      found%of(snapshots)%values(n*(k - 1) + 1:n*k, :) = states_of(simulation%snapshot(k))
     end do
     if (task%final_state) then
-      call simulation%engine%get_particles(1, simulation%engine%number, particles)
-      do k = first_of(final), first_of(final) + 3
-        allocate (found%of(k)%values(simulation%engine%number))
-      end do
-      call set_states(found%of(first_of(final):first_of(final) + 3), 1, particles)
+      call simulation%engine%get_particles(1, n, particles)
+      found%of(final)%values = states_of(particles)
     end if
   end function result_of
 
-  !> Sets the states of all particles at one of the times of an output.
-  pure subroutine set_states(output, time, particles)
-    !> x, y, ux, uy.
-    type(values_type), intent(inout) :: output(4)
-    !> Number of the time, from 1.
-    integer, intent(in) :: time
+  !> States of particles as columns: x, y, u_x, u_y.
+  pure function states_of(particles) result(states)
     type(particles_type), intent(in) :: particles
-    integer :: first, last
+    real(dp) :: states(size(particles%x), 4)
 
-    last = size(particles%x)*time
-    first = last - size(particles%x) + 1
-    output(1)%values(first:last) = real(particles%x, dp)
-    output(2)%values(first:last) = real(particles%y, dp)
-    output(3)%values(first:last) = real(particles%ux, dp)
-    output(4)%values(first:last) = real(particles%uy, dp)
-  end subroutine set_states
+    states(:, 1) = real(particles%x, dp)
+    states(:, 2) = real(particles%y, dp)
+    states(:, 3) = real(particles%ux, dp)
+    states(:, 4) = real(particles%uy, dp)
+  end function states_of
 
   !> Result of a failed task, with the reason.
   function failed_result(task, message) result(failed)
@@ -189,7 +177,7 @@ contains
     call archive%serialize('average', found%measured%average)
     call archive%serialize('error', found%measured%error)
     call archive%serialize('counted', found%measured%counted)
-    call serialize_outputs(found%task_output_type, archive)
+    call serialize_output(found%task_output_type, archive)
   end subroutine serialize_result
 
 end module battery_task_result

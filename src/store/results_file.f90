@@ -290,7 +290,7 @@ contains
     type(results_type), intent(in) :: results
     type(error_type), allocatable, intent(inout) :: error
     integer(int64) :: entries(3)
-    integer :: length(3), most
+    integer :: length(4), most
 
     if (all(results%task_status /= task_complete)) return
     length = 0
@@ -310,7 +310,7 @@ contains
       if (plan%final_state) length(final) = most
       call check_memory_of(bytes_per_state*most*(size(plan%snapshot_times) + merge(1, 0, &
         plan%final_state)), '/snapshots and /final', file%hdf5_file_type, error)
-      call prepare_outputs(file%hdf5_file_type, plan, length, file%outputs, error)
+      call prepare_outputs(file%hdf5_file_type, plan, length, .false., file%outputs, error)
     end associate
   end subroutine open_outputs
 
