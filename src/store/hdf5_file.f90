@@ -21,13 +21,12 @@ module battery_hdf5_file
     h5p_default_f, h5p_file_access_f
   use battery_kinds, only: int8, int64
   use battery_error, only: error_type, fatal_error, exit_failure, exit_bad_input
-  use battery_files, only: is_writable, write_parts
-  use battery_paths, only: is_folder, folder_of
+  use battery_files, only: write_parts
   use battery_checksum_footer, only: footer_length, footer_of
   use battery_text, only: to_text
   implicit none (type, external)
   private
-  public :: hdf5_file_type, create_file, open_file, close_file, discard_file
+  public :: hdf5_file_type, create_file, open_file, close_file
   public :: make_group
   public :: release_handle, check_status, check_links, no_handle, hdf5_library
 
@@ -108,15 +107,6 @@ contains
 
     file%name = name
     file%is_new = .true.
-    if (.not. is_folder(folder_of(name))) then
-      call fatal_error(error, name//': cannot be created: there is no folder '//folder_of(name))
-    else if (is_folder(name)) then
-      call fatal_error(error, name//': cannot be created: a folder has that name')
-    else if (.not. is_writable(folder_of(name))) then
-      call fatal_error(error, &
-        name//': cannot be created: '//folder_of(name)//' may not be written to')
-    end if
-    if (allocated(error)) return
     call new_access(access, status)
     if (status == 0) call h5pset_fapl_core_f(access, growth, .false., status)
     if (status == 0) call h5fcreate_f(name, h5f_acc_trunc_f, file%id, status, access_prp=access)
@@ -168,21 +158,23 @@ contains
     if (status == 0) call h5pset_fclose_degree_f(access, h5f_close_strong_f, status)
   end subroutine new_access
 
-  !> Closes a file, and writes a new file to disk; a file that is not open is no error.
+  !> Closes a file; a file that is not open is no error. A new file is written to the disk, unless
+  !> there was an error.
   subroutine close_file(file, error)
     !> File, open.
     type(hdf5_file_type), intent(inout) :: file
-    type(error_type), allocatable, intent(out) :: error
+    !> An earlier error is kept.
+    type(error_type), allocatable, intent(inout) :: error
     integer(int8), pointer, contiguous :: image(:)
     character(len=footer_length) :: footer
     integer :: status
 
     if (file%id < 0) return
     status = 0
-    if (file%is_new) call get_image(file, image, status)
-    if (file%is_new .and. status == 0) then
-      call footer_of(image, footer, error)
-      if (.not. allocated(error)) call write_parts(file%name, 0_int64, image, &
+    if (file%is_new .and. .not. allocated(error)) then
+      call get_image(file, image, status)
+      if (status == 0) call footer_of(image, footer, error)
+      if (status == 0 .and. .not. allocated(error)) call write_parts(file%name, 0_int64, image, &
         transfer(footer, image), [integer(int8) ::], error)
     end if
     call release_handle(file%id, status)
@@ -190,17 +182,6 @@ contains
     if (status /= 0 .and. .not. allocated(error)) &
       call fatal_error(error, file%name//': cannot be closed')
   end subroutine close_file
-
-  !> Closes a new file without writing it to disk.
-  subroutine discard_file(file)
-    !> File, open.
-    type(hdf5_file_type), intent(inout) :: file
-    integer :: ignored
-
-    ignored = 0
-    call release_handle(file%id, ignored)
-    file%id = no_handle
-  end subroutine discard_file
 
   !> Gets the bytes of a file in memory, without a copy.
   subroutine get_image(file, image, status)

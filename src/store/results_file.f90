@@ -16,10 +16,11 @@ module battery_results_file
   use battery_keys, only: all_keys
   use battery_task_output, only: task_output_type, output_datasets_type, prepare_outputs, &
     close_outputs, serialize_slabs, write_counting_scale, task_dimensions, series, snapshots, final
-  use battery_hdf5_file, only: hdf5_file_type, create_file, open_file, close_file, discard_file, &
+  use battery_hdf5_file, only: hdf5_file_type, create_file, open_file, close_file, &
     make_group, check_status, no_handle
   use battery_hdf5_attributes, only: read_text_attribute, write_attribute, write_text_attribute
-  use battery_hdf5_datasets, only: serialize_dataset, write_dataset, write_scale, extents_of
+  use battery_hdf5_datasets, only: serialize_dataset, write_dataset, write_scale, dataset_type, &
+    open_dataset, extents_of, release_dataset
   use battery_quantities, only: quantity_type, averaged_quantities, counted_quantities, place_of, &
     unknown_count
   use battery_results, only: results_type, new_results, scatter_of, all_tasks_complete, &
@@ -95,11 +96,7 @@ contains
 
     if (file%id == no_handle) return
     call close_outputs(file%hdf5_file_type, file%outputs, error)
-    if (allocated(error)) then
-      call discard_file(file%hdf5_file_type)
-    else
-      call close_file(file%hdf5_file_type, error)
-    end if
+    call close_file(file%hdf5_file_type, error)
     call publish_temporary(name, before, error)
   end subroutine publish_results
 
@@ -289,6 +286,7 @@ contains
     type(results_file_type), intent(inout) :: file
     type(results_type), intent(in) :: results
     type(error_type), allocatable, intent(inout) :: error
+    type(dataset_type) :: dataset
     integer(int64) :: entries(3)
     integer :: length(4), most
 
@@ -296,7 +294,9 @@ contains
     length = 0
     associate (plan => file%plan)
       if (plan%series_interval > 0.0_wp) then
-        entries = extents_of(file%hdf5_file_type, '/series/urn1_number', 3, error)
+        call open_dataset(file%hdf5_file_type, '/series/urn1_number', dataset, error)
+        entries = extents_of(dataset, 3)
+        call release_dataset(file%hdf5_file_type, dataset, error)
         call check_memory_of(bytes_per_entry*real(entries(1), dp), '/series', &
           file%hdf5_file_type, error)
         if (.not. allocated(error) .and. (entries(1) < 1 .or. entries(1) &
