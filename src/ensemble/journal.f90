@@ -12,12 +12,12 @@
 module battery_journal
   use battery_kinds, only: dp, int64
   use battery_error, only: error_type, fatal_error
+  use battery_paths, only: is_folder
   use battery_fingerprint, only: fingerprint_text
   use battery_text, only: string_type, to_text
   use battery_clocks, only: wall_seconds
   use battery_files, only: make_folder, sync_file, remove_file, publish_file, file_exists, &
     files_matching
-  use battery_journal_folder, only: numbers_in
   use battery_lock_file, only: lock_type, is_lock_lost, lock_lost_text
   use battery_record_file, only: record_type, append_record, write_single_record, &
     read_single_record
@@ -28,7 +28,7 @@ module battery_journal
   implicit none (type, external)
   private
   public :: journal_type, read_plan, begin_journal, join_journal, rank_file
-  public :: rank_files_in, rank_files_of, task_ids_in, check_lock
+  public :: rank_files_in, rank_files_of, task_ids_in, check_lock, check_journal, remove_journal
   public :: write_finished, sync_finished, write_state, read_state
 
   !> The journal as one rank accesses it.
@@ -152,11 +152,11 @@ contains
     logical :: found
     integer :: k, good
 
-    names = [files_matching(folder, 'rank_*'), files_matching(folder, 'task_*.a'), &
-      files_matching(folder, 'task_*.b')]
+    names = journal_files(folder)
     allocate (task_id(size(names)))
     good = 0
     do k = 1, size(names)
+      if (index(names(k)%text, 'plan') == 1) cycle
       call read_single_record(folder//'/'//names(k)%text, record, found)
       if (.not. found) cycle
       good = good + 1
@@ -346,5 +346,70 @@ contains
     found = .false.
     cpu_seconds = 0.0_dp
   end subroutine read_state
+
+  !> Numbers of the rank files in the folder, in any order. Names whose suffix is not the number of
+  !> a rank file are ignored.
+  function numbers_in(folder) result(numbers)
+    !> Folder of a journal, which need not be there.
+    character(len=*), intent(in) :: folder
+    integer, allocatable :: numbers(:)
+    type(string_type), allocatable :: names(:)
+    integer :: k, found, status
+
+    names = files_matching(folder, 'rank_*')
+    allocate (numbers(size(names)))
+    found = 0
+    do k = 1, size(names)
+      read (names(k)%text(6:), *, iostat=status) numbers(found + 1)
+      if (status /= 0) cycle
+      if (names(k)%text /= 'rank_'//to_text(numbers(found + 1))) cycle
+      if (numbers(found + 1) >= 0 .and. numbers(found + 1) < huge(1)) found = found + 1
+    end do
+    numbers = numbers(:found)
+  end function numbers_in
+
+  !> An error if a folder has the name of a file of the journal.
+  subroutine check_journal(folder, error)
+    !> Folder of a journal, which need not be there.
+    character(len=*), intent(in) :: folder
+    type(error_type), allocatable, intent(out) :: error
+    type(string_type), allocatable :: names(:)
+    integer :: k
+
+    names = journal_files(folder)
+    do k = 1, size(names)
+      if (.not. is_folder(folder//'/'//names(k)%text)) cycle
+      call fatal_error(error, folder//'/'//names(k)%text &
+        //': is a folder where a file should be; remove it')
+      return
+    end do
+  end subroutine check_journal
+
+  !> Names of all journal files in the folder, the plan last.
+  function journal_files(folder) result(names)
+    character(len=*), intent(in) :: folder
+    type(string_type), allocatable :: names(:)
+
+    names = [files_matching(folder, 'rank_*'), files_matching(folder, 'task_*.a'), &
+      files_matching(folder, 'task_*.b'), files_matching(folder, 'plan.new'), &
+      files_matching(folder, 'plan')]
+  end function journal_files
+
+  !> Removes the journal with all its files, the plan last. A folder with any other file stays.
+  subroutine remove_journal(folder, error)
+    !> Folder of a journal, which need not be there.
+    character(len=*), intent(in) :: folder
+    type(error_type), allocatable, intent(out) :: error
+    type(string_type), allocatable :: names(:)
+    integer :: k
+
+    if (.not. is_folder(folder)) return
+    names = journal_files(folder)
+    do k = 1, size(names)
+      call remove_file(folder//'/'//names(k)%text, error)
+      if (allocated(error)) return
+    end do
+    if (size(files_matching(folder, '*')) == 0) call remove_file(folder, error)
+  end subroutine remove_journal
 
 end module battery_journal

@@ -11,7 +11,7 @@ module battery_self_test
   use battery_files, only: remove_file
   use battery_frozen_log, only: frozen_log_type, read_frozen_log, find_difference, is_final_state
   use battery_frozen_logs, only: exact_circuit, exact_urn, timestep_circuit, reservoir_circuit
-  use battery_journal_folder, only: remove_journal
+  use battery_journal, only: remove_journal
   use battery_kinds, only: wp, int64
   use battery_namelist_input, only: parse_namelist
   use battery_plan, only: plan_type

@@ -7,8 +7,7 @@ module battery_startup
   use battery_error, only: error_type, fatal_error, exit_failure, exit_bad_input
   use battery_files, only: file_exists, remove_file
   use battery_journal, only: journal_type, read_plan, task_ids_in, begin_journal, join_journal, &
-    rank_files_in
-  use battery_journal_folder, only: check_journal, remove_journal
+    rank_files_in, check_journal, remove_journal
   use battery_lock_file, only: lock_type, acquire_lock, release_lock
   use battery_merge, only: collect_results, sources_type
   use battery_namelist_input, only: differing_keys, parse_namelist

@@ -124,7 +124,7 @@ int battery_is_locked(const char *path) {
 }
 
 /* Makes a new empty file: a file or a link that had the name is removed. */
-int battery_create_new(const char *path) {
+static int create_new(const char *path) {
   if (unlink(path) != 0 && errno != ENOENT) return errno;
   int descriptor = open(path, O_WRONLY | O_CREAT | O_EXCL | O_NOFOLLOW | O_CLOEXEC, 0666);
   if (descriptor < 0) return errno;
@@ -247,7 +247,7 @@ static size_t bytes_of(const CFI_cdesc_t *values) {
 int battery_write_parts(const char *path, int64_t at, const CFI_cdesc_t *first, const CFI_cdesc_t *second,
                         const CFI_cdesc_t *third) {
   const CFI_cdesc_t *part[3] = {first, second, third};
-  int status = at == 0 ? battery_create_new(path) : 0;
+  int status = at == 0 ? create_new(path) : 0;
   if (status != 0) return status;
   int descriptor = open(path, O_WRONLY | O_CREAT | O_NOFOLLOW | O_CLOEXEC, 0666);
   if (descriptor < 0) return errno;

@@ -10,8 +10,7 @@ module battery_files
   implicit none (type, external)
   private
   public :: file_exists, is_readable, is_writable, is_locked, is_disk_error, files_matching
-  public :: sync_file, rename_file, remove_file, make_folder, publish_file, create_new_file, &
-    write_parts
+  public :: sync_file, rename_file, remove_file, make_folder, publish_file, write_parts
   public :: file_stamp_type, file_stamp_at, has_stamp, publish_unless_replaced
 
   !> Stamp of the file that a name referred to at one time; initially: no file.
@@ -27,7 +26,6 @@ module battery_files
   procedure(number_of_path), bind(c, name='battery_remove') :: c_remove
   procedure(number_of_path), bind(c, name='battery_make_folder') :: c_make_folder
   procedure(number_of_path), bind(c, name='battery_sync') :: c_sync
-  procedure(number_of_path), bind(c, name='battery_create_new') :: c_create_new
   procedure(number_of_paths), bind(c, name='rename') :: c_rename
   procedure(returns_number), bind(c, name='battery_is_disk_error') :: c_is_disk_error
   procedure(address_of_path), bind(c, name='opendir') :: c_opendir
@@ -204,16 +202,6 @@ contains
     if (is_folder(path)) return
     call fatal_error(error, path//': the folder cannot be made: '//reason, code)
   end subroutine make_folder
-
-  !> Makes a new empty file. A file or a link that had the name is removed: nothing is ever written
-  !> through a link.
-  subroutine create_new_file(path, error)
-    !> Path of the new file, in an existing folder.
-    character(len=*), intent(in) :: path
-    type(error_type), allocatable, intent(out) :: error
-
-    call set_system_error(c_create_new(path//c_null_char), path//': cannot be made anew', error)
-  end subroutine create_new_file
 
   !> Writes three arrays one after the other into a file, and ends the file behind them.
   subroutine write_parts(path, at, first, second, third, error)
