@@ -83,8 +83,8 @@ contains
       results%seed(task%replica, task%point) = task%setup%seed
     end do
     call create_results(plan%file, file, error)
-    call write_description(file%hdf5_file_type, plan, journal%ranks, start_date, results, error)
-    call write_results(file%hdf5_file_type, results, error)
+    call write_description(file, plan, journal%ranks, start_date, results, error)
+    call write_results(file, results, error)
     call prepare_outputs(file%hdf5_file_type, plan, sources%length, plan%event_log .and. any( &
       results%task_status <= task_failed), file%outputs, error)
     call copy_outputs(plan, journal, sources, file, results, error)
@@ -94,7 +94,7 @@ contains
 
   !> Writes the attributes of the root: program, input and run. Does nothing after an error.
   subroutine write_description(file, plan, ranks, start_date, results, error)
-    type(hdf5_file_type), intent(in) :: file
+    class(hdf5_file_type), intent(in) :: file
     type(plan_type), intent(in) :: plan
     integer, intent(in) :: ranks
     character(len=*), intent(in) :: start_date
@@ -293,8 +293,8 @@ contains
       if (all(results%task_status(task%replica, task%point) /= [task_complete, task_failed])) cycle
       associate (place => sources%place(k))
         if (place%replica > 0) then
-          call serialize_slabs(sources%old%hdf5_file_type, sources%old%outputs, place%replica, &
-            place%point, task%number, found%task_output_type, error)
+          call serialize_slabs(sources%old, sources%old%outputs, place%replica, place%point, &
+            task%number, found%task_output_type, error)
         else
           if (place%rank_file /= open_file) then
             call close_records(reader)
@@ -308,8 +308,8 @@ contains
         end if
       end associate
       if (allocated(error)) exit
-      call serialize_slabs(file%hdf5_file_type, file%outputs, task%replica, task%point, &
-        task%number, found%task_output_type, error)
+      call serialize_slabs(file, file%outputs, task%replica, task%point, task%number, &
+        found%task_output_type, error)
       if (ended_early(found%task_output_type, size(plan%snapshot_times))) &
         results%short_tasks = results%short_tasks + 1
     end do

@@ -179,7 +179,7 @@ contains
     number = size(log%start%x)
     do k = 1, replicas
       if (allocated(error)) exit
-      call serialize_slabs(file%hdf5_file_type, file%outputs, k, 1, number, output, error)
+      call serialize_slabs(file, file%outputs, k, 1, number, output, error)
       if (allocated(error)) exit
       associate (states => output%of(final)%values)
         if (.not. is_final_state(log, states(:, 1), states(:, 2), states(:, 3), states(:, 4))) &

@@ -64,7 +64,7 @@ contains
   !> the contents for both. Does nothing after an error.
   subroutine serialize_dataset(file, path, values, units, long_name, error, scales)
     !> File, open.
-    type(hdf5_file_type), intent(in) :: file
+    class(hdf5_file_type), intent(in) :: file
     !> Path of the dataset in the file, from the root, in a group that is there.
     character(len=*), intent(in) :: path
     !> Scalar or array, as `array_view_of` takes it.
@@ -81,7 +81,7 @@ contains
   !> As `serialize_dataset`, for values that are only written, also without dimension scales.
   subroutine write_dataset(file, path, values, units, long_name, error, scales)
     !> New file.
-    type(hdf5_file_type), intent(in) :: file
+    class(hdf5_file_type), intent(in) :: file
     !> As above.
     character(len=*), intent(in) :: path, units, long_name
     type(*), intent(in), target, contiguous :: values(..)
@@ -95,7 +95,7 @@ contains
   !> Does nothing after an error.
   subroutine write_scale(file, path, values, units, long_name, error)
     !> New file.
-    type(hdf5_file_type), intent(in) :: file
+    class(hdf5_file_type), intent(in) :: file
     !> As above.
     character(len=*), intent(in) :: path, units, long_name
     !> The coordinates, one dimension.
@@ -110,7 +110,7 @@ contains
   !> no space. Does nothing after an error.
   subroutine write_dimension(file, path, length, long_name, error)
     !> New file.
-    type(hdf5_file_type), intent(in) :: file
+    class(hdf5_file_type), intent(in) :: file
     !> As above.
     character(len=*), intent(in) :: path, long_name
     !> Length of the dimension.
@@ -126,7 +126,7 @@ contains
 
   !> Writes or reads a whole dataset. Does nothing after an error.
   subroutine serialize_whole(file, path, memory, units, long_name, error, scales, scale_name)
-    type(hdf5_file_type), intent(in) :: file
+    class(hdf5_file_type), intent(in) :: file
     character(len=*), intent(in) :: path, units, long_name
     !> Values in memory; without an address, only the dataset is made.
     type(array_view_type), intent(in) :: memory
@@ -148,7 +148,7 @@ contains
   !> parts of it. Does nothing after an error.
   subroutine prepare_dataset(file, path, extents, unknown, units, long_name, error, scales, dataset)
     !> File, open.
-    type(hdf5_file_type), intent(in) :: file
+    class(hdf5_file_type), intent(in) :: file
     !> Path of the dataset in the file, from the root.
     character(len=*), intent(in) :: path
     !> Extents of the dataset, in Fortran order.
@@ -174,7 +174,7 @@ contains
   !> in memory, and compresses it when the next one begins. Does nothing after an error.
   subroutine serialize_slab(file, dataset, values, extents, first, error)
     !> File, open.
-    type(hdf5_file_type), intent(in) :: file
+    class(hdf5_file_type), intent(in) :: file
     !> Dataset from `prepare_dataset`.
     type(dataset_type), intent(in) :: dataset
     !> Array of as many values as the part has; HDF5 converts integers and reals.
@@ -200,7 +200,7 @@ contains
 
   !> Writes values to the selected part of a dataset, or reads them. Does nothing after an error.
   subroutine serialize_view(file, dataset, memory, part, space, error)
-    type(hdf5_file_type), intent(in) :: file
+    class(hdf5_file_type), intent(in) :: file
     type(dataset_type), intent(in) :: dataset
     type(array_view_type), intent(in) :: memory
     !> Data spaces of the values in memory, and of the dataset with the part selected.
@@ -223,7 +223,7 @@ contains
   !> Closes a dataset; one that is not open is no error.
   subroutine release_dataset(file, dataset, error)
     !> File that the dataset is in, still open.
-    type(hdf5_file_type), intent(in) :: file
+    class(hdf5_file_type), intent(in) :: file
     type(dataset_type), intent(inout) :: dataset
     !> The last chunk could not be written to the file; an earlier error is kept.
     type(error_type), allocatable, intent(inout) :: error
@@ -240,7 +240,7 @@ contains
   !> query of the extents of a virtual dataset would open other files. Does nothing after an error.
   subroutine open_dataset(file, path, dataset, error)
     !> File, open for reading.
-    type(hdf5_file_type), intent(in) :: file
+    class(hdf5_file_type), intent(in) :: file
     !> Path of the dataset in the file, from the root.
     character(len=*), intent(in) :: path
     !> Dataset, open, to be released with `release_dataset`.
@@ -266,7 +266,7 @@ contains
   !> Checks the extents of a dataset, which is read into memory of these. Does nothing after an
   !> error.
   subroutine check_extents(file, dataset, wanted, error)
-    type(hdf5_file_type), intent(in) :: file
+    class(hdf5_file_type), intent(in) :: file
     !> Dataset, open; wanted extents in Fortran order.
     type(dataset_type), intent(in) :: dataset
     integer(hsize_t), intent(in) :: wanted(:)
@@ -319,7 +319,7 @@ contains
   !> after an error.
   subroutine open_or_make(file, path, memory, fills, units, long_name, error, dataset, scales, &
     scale_name)
-    type(hdf5_file_type), intent(in) :: file
+    class(hdf5_file_type), intent(in) :: file
     character(len=*), intent(in) :: path, units, long_name
     !> Type and extents of the dataset; its address is that of the fill value if it `fills`.
     type(array_view_type), intent(in) :: memory
@@ -356,7 +356,7 @@ contains
 
   !> Attaches dimension scales to a dataset. HDF5 counts dimensions in the reverse order of Fortran.
   subroutine attach_scales(file, dataset, scales, status)
-    type(hdf5_file_type), intent(in) :: file
+    class(hdf5_file_type), intent(in) :: file
     integer(hid_t), intent(in) :: dataset
     character(len=*), intent(in) :: scales(:)
     integer, intent(inout) :: status

@@ -97,7 +97,7 @@ contains
   !> Creates a file in memory; `close_file` writes it to disk, over any file of the same name.
   subroutine create_file(file, name, error)
     !> File, opened here; `close_file` closes it.
-    type(hdf5_file_type), intent(out) :: file
+    class(hdf5_file_type), intent(out) :: file
     !> Path of the file.
     character(len=*), intent(in) :: name
     type(error_type), allocatable, intent(out) :: error
@@ -117,7 +117,7 @@ contains
   !> Opens a file for reading. `check_footer` reports a missing or unreadable file.
   subroutine open_file(file, name, error)
     !> File, opened here; `close_file` closes it.
-    type(hdf5_file_type), intent(out) :: file
+    class(hdf5_file_type), intent(out) :: file
     !> Path of the file.
     character(len=*), intent(in) :: name
     type(error_type), allocatable, intent(out) :: error
@@ -162,7 +162,7 @@ contains
   !> there was an error.
   subroutine close_file(file, error)
     !> File, open.
-    type(hdf5_file_type), intent(inout) :: file
+    class(hdf5_file_type), intent(inout) :: file
     !> An earlier error is kept.
     type(error_type), allocatable, intent(inout) :: error
     integer(int8), pointer, contiguous :: image(:)
@@ -185,7 +185,7 @@ contains
 
   !> Gets the bytes of a file in memory, without a copy.
   subroutine get_image(file, image, status)
-    type(hdf5_file_type), intent(in) :: file
+    class(hdf5_file_type), intent(in) :: file
     !> Bytes of the file; valid while it is open and nothing is written to it.
     integer(int8), pointer, contiguous, intent(out) :: image(:)
     integer, intent(out) :: status
@@ -212,7 +212,7 @@ contains
   !> error.
   subroutine make_group(file, path, error)
     !> File, open for writing.
-    type(hdf5_file_type), intent(in) :: file
+    class(hdf5_file_type), intent(in) :: file
     !> Path of the group in the file, from the root.
     character(len=*), intent(in) :: path
     type(error_type), allocatable, intent(inout) :: error
@@ -243,7 +243,7 @@ contains
   !> nothing after an error.
   subroutine check_links(file, path, error)
     !> File, open.
-    type(hdf5_file_type), intent(in) :: file
+    class(hdf5_file_type), intent(in) :: file
     !> Path from the root; `/` is the root itself.
     character(len=*), intent(in) :: path
     type(error_type), allocatable, intent(inout) :: error
@@ -269,7 +269,7 @@ contains
   !> is bad input: the checksum was valid, so the file was made like this.
   subroutine check_status(file, path, problem, status, error)
     !> File that the object is in.
-    type(hdf5_file_type), intent(in) :: file
+    class(hdf5_file_type), intent(in) :: file
     !> Path of the object in the file, from the root; what is wrong with it.
     character(len=*), intent(in) :: path, problem
     integer, intent(in) :: status

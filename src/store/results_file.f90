@@ -65,13 +65,13 @@ contains
     type(results_file_type), intent(out) :: file
     type(error_type), allocatable, intent(out) :: error
 
-    call create_file(file%hdf5_file_type, temporary_name(name), error)
+    call create_file(file, temporary_name(name), error)
   end subroutine create_results
 
   !> Writes all contents except attributes of the root and task output. Does nothing after an error.
   subroutine write_results(file, results, error)
     !> File from `create_results`.
-    type(hdf5_file_type), intent(in) :: file
+    class(hdf5_file_type), intent(in) :: file
     !> Results, which are only read.
     type(results_type), intent(inout) :: results
     type(error_type), allocatable, intent(inout) :: error
@@ -96,7 +96,7 @@ contains
 
     if (file%id == no_handle) return
     call close_outputs(file%hdf5_file_type, file%outputs, error)
-    call close_file(file%hdf5_file_type, error)
+    call close_file(file, error)
     call publish_temporary(name, before, error)
   end subroutine publish_results
 
@@ -142,8 +142,8 @@ contains
     do p = 1, merge(0, file%plan%point_count, allocated(error))
       point = point_of(file%plan, p)
       do r = 1, file%plan%replicas
-        if (results%task_status(r, p) == task_complete) call serialize_slabs(file%hdf5_file_type, &
-          file%outputs, r, p, point%number, output, error)
+        if (results%task_status(r, p) == task_complete) call serialize_slabs(file, file%outputs, &
+          r, p, point%number, output, error)
       end do
     end do
     call close_results(file)
@@ -162,7 +162,7 @@ contains
   !> Writes the grid of the scan: its keys in the attribute `scan` of the root, the slowest first,
   !> and the values of each key in the group `scan`.
   subroutine write_scan(file, results, error)
-    type(hdf5_file_type), intent(in) :: file
+    class(hdf5_file_type), intent(in) :: file
     type(results_type), intent(in) :: results
     type(error_type), allocatable, intent(inout) :: error
     type(key_type), allocatable :: keys(:)
@@ -201,13 +201,12 @@ contains
       lacks_footer = lacks
       if (lacks) deallocate (error)
     end if
-    if (.not. allocated(error)) call open_file(file%hdf5_file_type, name, error)
+    if (.not. allocated(error)) call open_file(file, name, error)
     if (allocated(error)) return
     call read_text_attribute(file%hdf5_file_type, '/', 'version', file%version, error)
     call read_text_attribute(file%hdf5_file_type, '/', 'namelist', file%namelist, error)
     call read_text_attribute(file%hdf5_file_type, '/', 'status', file%status, error)
-    call read_text_attribute(file%hdf5_file_type, '/', 'initial_file_fingerprint', fingerprint, &
-      error)
+    call read_text_attribute(file, '/', 'initial_file_fingerprint', fingerprint, error)
     ! Without an initial file the text is empty.
     read (fingerprint, '(z16)', iostat=status) file%initial_fingerprint
     if (status /= 0) file%initial_fingerprint = 0
@@ -230,7 +229,7 @@ contains
       call parse_namelist(file%namelist, file%name, file%plan, error)
     end if
     file%plan%initial_fingerprint = file%initial_fingerprint
-    if (.not. allocated(error)) call read_tasks(file%hdf5_file_type, file%plan, results, error)
+    if (.not. allocated(error)) call read_tasks(file, file%plan, results, error)
     if (.not. allocated(error)) call open_outputs(file, results, error)
     if (allocated(error)) call close_results(file)
   end subroutine read_results
@@ -244,13 +243,13 @@ contains
 
     if (file%id == no_handle) return
     call close_outputs(file%hdf5_file_type, file%outputs, ignored)
-    call close_file(file%hdf5_file_type, ignored)
+    call close_file(file, ignored)
   end subroutine close_results
 
   !> Reads the numbers of every task. Seeds and hosts of complete tasks must be valid, since the use
   !> of the other numbers depends on them.
   subroutine read_tasks(file, plan, results, error)
-    type(hdf5_file_type), intent(in) :: file
+    class(hdf5_file_type), intent(in) :: file
     type(plan_type), intent(in) :: plan
     type(results_type), intent(out) :: results
     type(error_type), allocatable, intent(inout) :: error
@@ -294,14 +293,13 @@ contains
     length = 0
     associate (plan => file%plan)
       if (plan%series_interval > 0.0_wp) then
-        call open_dataset(file%hdf5_file_type, '/series/urn1_number', dataset, error)
+        call open_dataset(file, '/series/urn1_number', dataset, error)
         entries = extents_of(dataset, 3)
-        call release_dataset(file%hdf5_file_type, dataset, error)
-        call check_memory_of(bytes_per_entry*real(entries(1), dp), '/series', &
-          file%hdf5_file_type, error)
-        if (.not. allocated(error) .and. (entries(1) < 1 .or. entries(1) &
-          > int(most_numbers, int64))) call check_status(file%hdf5_file_type, &
-          '/series/urn1_number', 'has no length that a series can have', 1, error)
+        call release_dataset(file, dataset, error)
+        call check_memory_of(bytes_per_entry*real(entries(1), dp), '/series', file, error)
+        if (.not. allocated(error) .and. (entries(1) < 1 .or. entries(1) > int(most_numbers, &
+          int64))) call check_status(file, '/series/urn1_number', &
+          'has no length that a series can have', 1, error)
         if (allocated(error)) return
         length(series) = int(entries(1))
       end if
@@ -309,7 +307,7 @@ contains
       if (size(plan%snapshot_times) > 0) length(snapshots) = most
       if (plan%final_state) length(final) = most
       call check_memory_of(bytes_per_state*most*(size(plan%snapshot_times) + merge(1, 0, &
-        plan%final_state)), '/snapshots and /final', file%hdf5_file_type, error)
+        plan%final_state)), '/snapshots and /final', file, error)
       call prepare_outputs(file%hdf5_file_type, plan, length, .false., file%outputs, error)
     end associate
   end subroutine open_outputs
@@ -319,7 +317,7 @@ contains
     real(dp), intent(in) :: bytes
     !> Text for the datasets that need them.
     character(len=*), intent(in) :: what
-    type(hdf5_file_type), intent(in) :: file
+    class(hdf5_file_type), intent(in) :: file
     type(error_type), allocatable, intent(inout) :: error
 
     if (allocated(error)) return
@@ -345,7 +343,7 @@ contains
 
   !> Writes the dimension scales, and the parameters of the points.
   subroutine write_points(file, results, error)
-    type(hdf5_file_type), intent(in) :: file
+    class(hdf5_file_type), intent(in) :: file
     type(results_type), intent(in) :: results
     type(error_type), allocatable, intent(inout) :: error
 
@@ -379,7 +377,7 @@ contains
 
   !> Writes or reads the numbers of every task, and their standard errors over the replicas.
   subroutine serialize_measured(file, results, error)
-    type(hdf5_file_type), intent(in) :: file
+    class(hdf5_file_type), intent(in) :: file
     type(results_type), intent(inout) :: results
     type(error_type), allocatable, intent(inout) :: error
     character(len=*), parameter :: blocks = ', standard error from the run; NaN: too short'
@@ -420,7 +418,7 @@ contains
 
   !> Writes the status of each point with respect to the required precision.
   subroutine write_precision(file, results, error)
-    type(hdf5_file_type), intent(in) :: file
+    class(hdf5_file_type), intent(in) :: file
     type(results_type), intent(in) :: results
     type(error_type), allocatable, intent(inout) :: error
     character(len=*), parameter :: meaning = 'standard error over replicas, with Student''s ' &

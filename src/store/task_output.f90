@@ -138,7 +138,7 @@ contains
   !> these extents. Does nothing after an error.
   subroutine prepare_outputs(file, plan, length, has_events, datasets, error)
     !> File, open.
-    type(hdf5_file_type), intent(in) :: file
+    class(hdf5_file_type), intent(in) :: file
     !> Plan of the file.
     type(plan_type), intent(in) :: plan
     !> Length of the first dimension of each group.
@@ -187,7 +187,7 @@ contains
 
   !> Makes a group in a new file, with its dimension scales.
   subroutine write_group(file, plan, group, length, error)
-    type(hdf5_file_type), intent(in) :: file
+    class(hdf5_file_type), intent(in) :: file
     type(plan_type), intent(in) :: plan
     integer, intent(in) :: group, length
     type(error_type), allocatable, intent(inout) :: error
@@ -214,7 +214,7 @@ contains
   !> tables are allocated. Does nothing after an error.
   subroutine serialize_slabs(file, datasets, replica, point, number, output, error)
     !> File, open, as the datasets in it are.
-    type(hdf5_file_type), intent(in) :: file
+    class(hdf5_file_type), intent(in) :: file
     type(output_datasets_type), intent(in) :: datasets
     !> Indices of the task, from 1, and its number of particles.
     integer, intent(in) :: replica, point, number
@@ -261,7 +261,7 @@ contains
   !> Closes the datasets of a file that is still open.
   subroutine close_outputs(file, datasets, error)
     !> File, still open.
-    type(hdf5_file_type), intent(in) :: file
+    class(hdf5_file_type), intent(in) :: file
     !> Datasets, which may be open.
     type(output_datasets_type), intent(inout) :: datasets
     !> Not all values could be written to a new file; an earlier error is kept.
@@ -279,7 +279,7 @@ contains
   !> error.
   subroutine write_counting_scale(file, path, first, length, long_name, error)
     !> New file, open for writing.
-    type(hdf5_file_type), intent(in) :: file
+    class(hdf5_file_type), intent(in) :: file
     !> Path of the dataset in the file, from the root.
     character(len=*), intent(in) :: path
     !> The first coordinate, and the number of coordinates.
