@@ -2,7 +2,8 @@
 module battery_task_result
   use battery_kinds, only: dp, int64
   use battery_clocks, only: utc_seconds
-  use battery_task_output, only: task_output_type, serialize_output, series, snapshots, final, events
+  use battery_task_output, only: task_output_type, serialize_output, series, snapshots, final, &
+    events
   use battery_engine, only: particles_type
   use battery_machine, only: machine_text
   use battery_observer, only: get_measured
@@ -118,6 +119,7 @@ contains
     type(archive_type) :: archive
 
     copy = found
+    ! Its length is measured first: then there are no copies of large output while it grows.
     archive = measuring_archive()
     call serialize_result(copy, archive)
     archive = new_archive(archive%length)
@@ -127,8 +129,8 @@ contains
     call move_alloc(archive%word, record%word)
   end function to_record
 
-  !> Reads the next result of a file of records. A valid record may be a plan or a state under another
-  !> name, or belong to a program with other quantities: it is passed over.
+  !> Reads the next result of a file of records. A valid record may be a plan or a state under
+  !> another name, or belong to a program with other quantities: it is passed over.
   subroutine next_result(reader, found, at, is_one)
     !> Reader of a record file, open.
     type(record_reader_type), intent(inout) :: reader

@@ -2,11 +2,11 @@
 !> named dimensions.
 !>
 !> A new file is made in memory (`create_results`), where it is compressed; its attributes, its
-!> numbers (`write_results`), and the output of each task are written there. `publish_results` writes
-!> it to the disk under a temporary name and renames it, so that there is always either the old file
-!> or the new one. An old file is opened (`open_results`) and its numbers are read (`read_results`);
-!> the outputs of its tasks then one by one. Unknown values are NaN, or -1 if an attribute
-!> `_FillValue` has it.
+!> numbers (`write_results`), and the output of each task are written there. `publish_results`
+!> writes it to the disk under a temporary name and renames it, so that there is always either the
+!> old file or the new one. An old file is opened (`open_results`) and its numbers are read
+!> (`read_results`); the outputs of its tasks then one by one. Unknown values are NaN, or -1 if an
+!> attribute `_FillValue` has it.
 module battery_results_file
   use battery_kinds, only: wp, dp, int64
   use battery_build_information, only: program_version
