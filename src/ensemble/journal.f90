@@ -212,8 +212,8 @@ contains
   !> removed.
   subroutine write_finished(journal, found, error)
     type(journal_type), intent(inout) :: journal
-    !> The result of the task.
-    type(task_result_type), intent(in) :: found
+    !> The result of the task; not changed.
+    type(task_result_type), intent(inout) :: found
     type(error_type), allocatable, intent(out) :: error
     character(len=:), allocatable :: state
     logical :: has_state

@@ -112,18 +112,16 @@ contains
 
   !> A result as a record.
   function to_record(found) result(record)
-    !> Result of a task, successful or failed.
-    type(task_result_type), intent(in) :: found
+    !> Result of a task, successful or failed; not changed.
+    type(task_result_type), intent(inout) :: found
     type(record_type) :: record
-    type(task_result_type) :: copy
     type(archive_type) :: archive
 
-    copy = found
     ! Its length is measured first: then there are no copies of large output while it grows.
     archive = measuring_archive()
-    call serialize_result(copy, archive)
+    call serialize_result(found, archive)
     archive = new_archive(archive%length)
-    call serialize_result(copy, archive)
+    call serialize_result(found, archive)
     record%owner = found%task_id
     record%tag = found%task
     call move_alloc(archive%word, record%word)
@@ -150,6 +148,7 @@ contains
       is_one = .false.
       if (.not. is_record) return
       archive = archive_of(record%word)
+      deallocate (record%word)
       call serialize_result(found, archive)
       if (archive%failed()) cycle
       is_one = archive%at_end() .and. abs(record%tag) <= huge(found%task)
