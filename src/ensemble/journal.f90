@@ -385,14 +385,12 @@ contains
     end do
   end subroutine check_journal
 
-  !> Names of all journal files in the folder, the plan last.
+  !> Names of all journal files in the folder, in any order.
   function journal_files(folder) result(names)
     character(len=*), intent(in) :: folder
     type(string_type), allocatable :: names(:)
 
-    names = [files_matching(folder, 'rank_*'), files_matching(folder, 'task_*.a'), &
-      files_matching(folder, 'task_*.b'), files_matching(folder, 'plan.new'), &
-      files_matching(folder, 'plan')]
+    names = files_matching(folder, '@(rank_*|task_*.[ab]|plan.new|plan)')
   end function journal_files
 
   !> Removes the journal with all its files, the plan last. A folder with any other file stays.
@@ -406,9 +404,11 @@ contains
     if (.not. is_folder(folder)) return
     names = journal_files(folder)
     do k = 1, size(names)
-      call remove_file(folder//'/'//names(k)%text, error)
+      if (names(k)%text /= 'plan') call remove_file(folder//'/'//names(k)%text, error)
       if (allocated(error)) return
     end do
+    call remove_file(folder//'/plan', error)
+    if (allocated(error)) return
     if (size(files_matching(folder, '*')) == 0) call remove_file(folder, error)
   end subroutine remove_journal
 

@@ -259,11 +259,11 @@ int battery_write_parts(const char *path, int64_t at, const CFI_cdesc_t *first, 
   return close(descriptor) == 0 || status != 0 ? status : errno;
 }
 
-/* The next name in an open folder that matches a pattern of `*` and `?`; NULL at the end. */
+/* The next name in an open folder that matches a pattern of a shell; NULL at the end. */
 const char *battery_next_like(DIR *folder, const char *pattern) {
   for (;;) {
     struct dirent *entry = readdir(folder);
     if (entry == NULL) return NULL;
-    if (fnmatch(pattern, entry->d_name, FNM_PERIOD | FNM_NOESCAPE) == 0) return entry->d_name;
+    if (fnmatch(pattern, entry->d_name, FNM_PERIOD | FNM_NOESCAPE | FNM_EXTMATCH) == 0) return entry->d_name;
   }
 }
