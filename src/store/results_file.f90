@@ -3,10 +3,10 @@
 !>
 !> A new file is made in memory (`create_results`), where it is compressed; its attributes, its
 !> numbers (`write_results`), and the output of each task are written there. `publish_results`
-!> writes it to the disk under a temporary name and renames it, so that there is always either the
-!> old file or the new one. An old file is opened (`open_results`) and its numbers are read
-!> (`read_results`); the outputs of its tasks then one by one. Unknown values are NaN, or -1 if an
-!> attribute `_FillValue` has it.
+!> writes it to the disk under a temporary name, reads it back to verify the checksum, and renames
+!> it, so that there is always either the old file or the new one. An old file is opened
+!> (`open_results`) and its numbers are read (`read_results`), then the outputs of its tasks one by
+!> one. Unknown values are NaN, or -1 if an attribute `_FillValue` has it.
 module battery_results_file
   use battery_kinds, only: wp, dp, int64
   use battery_build_information, only: program_version
@@ -100,13 +100,14 @@ contains
     call publish_temporary(name, before, error)
   end subroutine publish_results
 
-  !> Renames the temporary file to the results file; removes it after an error.
+  !> Reads the temporary file back, and renames it to the results file; removes it after an error.
   subroutine publish_temporary(name, before, error)
     character(len=*), intent(in) :: name
     type(file_stamp_type), intent(in) :: before
     type(error_type), allocatable, intent(inout) :: error
     type(error_type), allocatable :: other
 
+    if (.not. allocated(error)) call check_footer(temporary_name(name), error)
     if (.not. allocated(error)) call sync_file(temporary_name(name), error)
     if (allocated(error)) then
       call remove_file(temporary_name(name), other)
