@@ -54,9 +54,9 @@ contains
     text = trim(text)
   end function command_line_of
 
-  !> Checks that every rank sees, by its own path, the lock file of rank 0: a rank that was started in
-  !> another folder would write into another run's journal. Numbers of devices and inodes cannot be
-  !> compared, since they differ between machines. Collective.
+  !> Checks that every rank sees, by its own path, the lock file of rank 0: a rank that was started
+  !> in another folder would write into another run's journal. Numbers of devices and inodes cannot
+  !> be compared, since they differ between machines. Collective.
   subroutine check_output_folder(communicator, lock, file, error)
     type(communicator_type), intent(in) :: communicator
     !> Lock of rank 0.

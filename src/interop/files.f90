@@ -225,8 +225,8 @@ contains
     yes = c_is_disk_error() /= 0
   end function is_disk_error
 
-  !> Names, without the folder, of the entries of a folder that match a pattern of a shell, with `*`,
-  !> `?` and `@(one|other)`, in any order; none if there is no such folder.
+  !> Names, without the folder, of the entries of a folder that match a pattern of a shell, with
+  !> `*`, `?` and `@(one|other)`, in any order; none if there is no such folder.
   function files_matching(folder, pattern) result(names)
     !> Folder to look in, and pattern of the names.
     character(len=*), intent(in) :: folder, pattern

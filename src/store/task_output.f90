@@ -4,9 +4,9 @@
 !> of datasets, which is written to a record and read from it (`serialize_output`), and written to
 !> its hyperslabs of a results file and read from them (`serialize_slabs`). These are the large part
 !> of a results file, so the output of at most one task is in memory: the datasets are prepared for
-!> all tasks, (.., replica, point), filled with NaN or -1; then the output of each task is exchanged,
-!> in the order of the tasks, which fills one chunk after the other. Events are those of the only
-!> task.
+!> all tasks, (.., replica, point), filled with NaN or -1; then the output of each task is
+!> exchanged, in the order of the tasks, which fills one chunk after the other. Events are those of
+!> the only task.
 module battery_task_output
   use, intrinsic :: ieee_arithmetic, only: ieee_is_nan
   use battery_kinds, only: dp, int32, int64
