@@ -83,8 +83,10 @@ contains
     character(len=*), intent(in), optional :: hint
     character(len=longest_text) :: holder
     real(dp) :: last_attempt
+    character(len=:), allocatable :: reason
     integer(c_int) :: outcome
     integer :: failures
+    logical :: disk_failed
 
     failures = 0
     last_attempt = wall_seconds() + default_patience
@@ -114,11 +116,14 @@ contains
           //'or name another output file', exit_bad_input)
         return
       case default
-        ! On a network disk another run that takes the lock at this moment may look like this.
+        ! On a network disk another run that takes the lock at this moment may look like this. The
+        ! number of the error is read before anything else may change it.
+        disk_failed = is_disk_error()
+        reason = system_message()
         failures = failures + 1
-        if (failures > most_failures .or. is_disk_error()) then
-          call fatal_error(error, lock%path//': cannot be written: '//system_message(), &
-            merge(exit_failure, exit_bad_input, is_disk_error()))
+        if (failures > most_failures .or. disk_failed) then
+          call fatal_error(error, lock%path//': cannot be written: '//reason, &
+            merge(exit_failure, exit_bad_input, disk_failed))
           return
         end if
       end select
