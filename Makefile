@@ -63,7 +63,7 @@ POSTPROC ?= 1
 VENV    := build/venv
 PYTHON  := $(VENV)/bin/python
 # The Python side, importable by that Python from every folder, and its commands.
-POSTPROC := $(VENV)/bin/battery-postproc
+COMMANDS := $(VENV)/bin/battery-postproc
 PROGRAM := $(BUILT)/bin/battery
 SOURCES := Makefile fpm.toml packaging/switches $(shell find src app -type f)
 RANKS   := 2
@@ -74,30 +74,34 @@ FULL    ?= 0
 help: ## lists the targets
 	@sed -nE 's/^([a-z]+):[^#]*## (.*)/make \1\t\2/p' $(filter-out build/%,$(MAKEFILE_LIST)) | expand -t 18
 
-demo: build $(POSTPROC) ## builds, runs namelists/quickstart.nml on 2 ranks, draws the pictures
+demo: build $(COMMANDS) ## builds, runs namelists/quickstart.nml on 2 ranks, draws the pictures
 	@mkdir -p build/demo
 	cd build/demo
 	mpirun -n $(RANKS) $(CURDIR)/$(PROGRAM) --overwrite ../../namelists/quickstart.nml
+	for name in flows scene; do $(CURDIR)/$(COMMANDS) plot $$name quickstart.h5 > log; done
+	echo "The results are build/demo/quickstart.h5, the pictures:"
 	cd ../..
-	$(PYTHON) -m postproc.currents build/demo/quickstart.h5 --output build/demo
-	$(PYTHON) -m postproc.scene build/demo/quickstart.h5 --output build/demo
-	echo "The pictures are in build/demo:"
 	ls build/demo/*.png
 
-test: build $(POSTPROC) ## builds, runs the tests; at the end "N passed, M failed"; FULL=1: all, also slow ones
+test: build $(COMMANDS) ## builds, runs the tests; at the end "N passed, M failed"; FULL=1: all, also slow ones
 	@$(PYTHON) test/all.py $(if $(filter-out 0,$(FULL)),--full) --built=$(BUILT) \
 	  --release=" $(RELEASE_FLAGS)" --release-link=" $(RELEASE_LINK)" \
 	  --debug=" $(DEBUG_FLAGS)" --debug-link=" $(DEBUG_LINK)"
 
-cluster: build $(POSTPROC) ## as root: a Slurm of two nodes here runs the example jobs, machines die; then it is gone
+cluster: build $(COMMANDS) ## as root: a Slurm of two nodes here runs the example jobs, machines die; then it is gone
 	@$(PYTHON) test/support/cluster_packages.py
 	$(PYTHON) -m pytest -q -rs test/test_slurm.py test/test_nodes.py
 
 # What a user may say: docs/install.md.
-build: libraries $(fpm) information ## only builds: build/bin/battery; MPI=mpich MARCH=x86-64-v3 HDF5=DIR FC= MPIFC= GSL= FPM=
+build: libraries $(fpm) information ## builds build/bin/battery and installs the Python side (not: POSTPROC=0) in build/venv; MPI=mpich MARCH=x86-64-v3 HDF5=DIR FC= MPIFC= GSL= FPM=
 	@export FPM_FFLAGS="$(RELEASE_FLAGS)" FPM_LDFLAGS="$(RELEASE_LINK)"
-	# fpm names each file that it copies.
-	flock build/.lock $(fpm) install --prefix $(BUILT) | sed '/^# /d'
+	echo "Building $(PROGRAM) (log: $(BUILT)/log)"
+	mkdir -p $(BUILT)
+	flock build/.lock $(fpm) install --prefix $(BUILT) > $(BUILT)/log 2>&1 || { cat $(BUILT)/log >&2; exit 1; }
+	[[ "$(POSTPROC)" == 0 ]] || $(MAKE) $(COMMANDS) || {
+	  echo "The program is complete: $(PROGRAM). Its Python side needs packages that pip could not get;"
+	  echo "make build POSTPROC=0 leaves it out."
+	}
 
 # A program beside battery, for tests and studies: a package of its own, of src and of the folders that
 # it names, of which fpm compiles what is used. fpm keeps a build for each set of flags.
@@ -157,15 +161,16 @@ $(PROCESSORS:%=build/%/bin/battery): build/%/bin/battery: FORCE | libraries $(fp
 docs: build build/stamps/docs ## the manual: build/site/index.html opens from disk, with search and formulas
 	@PYTHONPATH=docs:. PATH="$(CURDIR)/$(VENV)/bin:$$PATH" nice $(PYTHON) -m manual
 
-build/stamps/docs: docs/requirements.txt $(POSTPROC)
+build/stamps/docs: docs/requirements.txt $(COMMANDS)
 	@echo "Installing the Python packages of docs/requirements.txt in $(VENV)"
 	$(PYTHON) -m pip install --quiet --disable-pip-version-check -r docs/requirements.txt
 	touch $@
 
-lint: $(POSTPROC) ## style of the Fortran and the Python sources
+lint: $(COMMANDS) ## style of the Fortran and the Python sources
 	@$(VENV)/bin/fortitude check --output-format concise src app test docs $(wildcard studies)
 	$(VENV)/bin/ruff check --config postproc/ruff.toml postproc test docs $(wildcard studies)
 	$(VENV)/bin/ruff format --check --config postproc/ruff.toml postproc test docs $(wildcard studies)
+	$(VENV)/bin/mypy --no-error-summary
 
 install: prefix information $(PROGRAM) ## program, library, man page, module file, Python side (not: POSTPROC=0) into PREFIX (default: /usr/local)
 	@prefix=$$(realpath -m -- "$(PREFIX)")
@@ -194,7 +199,7 @@ install: prefix information $(PROGRAM) ## program, library, man page, module fil
 
 # What is there and newer than all that it is made of is not built again.
 $(PROGRAM): $(SOURCES) build/choices$(SUFFIX) build/generated/commit.h
-	@$(MAKE) build
+	@$(MAKE) build POSTPROC=0
 	touch $@
 
 # The folders of an installation; whether they can be written to is asked before anything is built.
@@ -262,7 +267,7 @@ build/stamps/python: postproc/requirements.txt | build/stamps/packages$(SUFFIX)
 	$(PYTHON) -m pip install --quiet --disable-pip-version-check -r postproc/requirements.txt
 	touch $@
 
-$(POSTPROC): build/stamps/python
+$(COMMANDS): build/stamps/python
 	@packages=$$($(PYTHON) -c 'import sysconfig; print(sysconfig.get_path("purelib"))')
 	echo '$(CURDIR)' > "$$packages/battery.pth"
 	printf '#!%s\nfrom postproc.__main__ import run\n\nraise SystemExit(run())\n' '$(CURDIR)/$(PYTHON)' > $@

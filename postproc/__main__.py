@@ -1,7 +1,4 @@
-"""All commands as one: `battery-postproc NAME ...`, or `python -m postproc NAME ...`.
-
-Most are modules of their own as well: `python -m postproc.NAME ...`.
-"""
+"""All commands as one: `battery-postproc NAME ...`, or `python -m postproc NAME ...`."""
 
 from __future__ import annotations
 
@@ -15,17 +12,7 @@ from pathlib import Path
 from postproc import __version__, cli
 
 STARTING = ("advise",)  # commands that start the program, as postproc.run does
-COMMANDS = {
-    "advise": "postproc.advise",
-    "currents": "postproc.currents",
-    "figures": "postproc.figures.__main__",
-    "film": "postproc.film",
-    "lifetimes": "postproc.lifetimes",
-    "report": "postproc.report.__main__",
-    "scene": "postproc.scene",
-    "table": "postproc.reading.table",
-    "theory": "postproc.theory.__main__",
-}
+COMMANDS = ("advise", "film", "lifetimes", "plot", "report", "table", "theory")
 PLACE = Path(__file__).resolve().parent
 
 
@@ -36,17 +23,17 @@ def main(arguments: list[str] | None = None) -> int:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )  # fmt: skip
     options.add_argument("--version", action="version", version=f"{cli.COMMAND} {__version__}")
-    options.add_argument("name", metavar="NAME", choices=sorted(COMMANDS), help="one of these")
+    options.add_argument("name", metavar="NAME", choices=COMMANDS, help="one of these")
     words = sys.argv[1:] if arguments is None else arguments
     given = options.parse_args(words[:1])
-    return importlib.import_module(COMMANDS[given.name]).main(words[1:])
+    return importlib.import_module(f"postproc.commands.{given.name}").main(words[1:])
 
 
 def description() -> str:
     """Return a line for each command: the first line of its docstring."""
     lines: dict[bool, list[str]] = {True: [], False: []}
-    for name, module in COMMANDS.items():
-        path = PLACE.joinpath(*module.split(".")[1:]).with_suffix(".py")
+    for name in COMMANDS:
+        path = PLACE / "commands" / f"{name}.py"
         summary = (ast.get_docstring(_tree(path)) or "").split("\n", 1)[0]
         lines[name in STARTING].append(f"  {name:12s} {summary}")
     return "\n".join([

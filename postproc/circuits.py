@@ -134,7 +134,7 @@ class Circuit:
         own, known = self.model(), _theory(theory)
         if known.mixed or not own.alike:
             return float(known.theory_of(own).transition_width(known.of(own)))
-        return float(self.transition_line([own.threshold], theory)[1][0])
+        return float(self.transition_line([_both(self.threshold)[0]], theory)[1][0])
 
     def transition_line(
         self, thresholds: Iterable[int], theory: str = PAPERS
@@ -189,19 +189,21 @@ class Circuit:
 
         from postproc.figures.currents import draw_eta  # noqa: PLC0415
 
-        names = [theory] if isinstance(theory, str) else theory
-        return draw_eta(ax or plt.gca(), self.model(), [_theory(name) for name in names])
+        names, axes = [theory] if isinstance(theory, str) else theory, ax or plt.gca()
+        axes.set_ylabel(r"$\eta$")
+        return draw_eta(axes, self.model(), [_theory(name) for name in names])
 
     def model(self, age: float = PAPERS_AGE) -> Model:
         """Return the circuit as the theories take it."""
         one, two = _both(self.urn_radius)
         threshold, other = _both(self.threshold)
         first, *second = self._outlines()
-        sizes = {key: float(getattr(self, key)) for key in _LENGTHS}
         return Model(
             self.number, threshold, urn_radius=one, urn2_radius=two if two != one else None,
             gate2_threshold=other if other != threshold else None, outline=first,
-            urn2_outline=second[0] if second and second[0] != first else None, age=age, **sizes,
+            urn2_outline=second[0] if second and second[0] != first else None, age=age,
+            channel1_width=float(self.channel1_width), channel1_length=float(self.channel1_length),
+            channel2_width=float(self.channel2_width), channel2_length=float(self.channel2_length),
         )  # fmt: skip
 
     def _outlines(self) -> list[Outline | None]:
@@ -248,9 +250,6 @@ class Circuit:
                 for key, good, allowed in rules if not good]  # fmt: skip
 
 
-_LENGTHS = ("channel1_width", "channel1_length", "channel2_width", "channel2_length")
-
-
 def _theory(name: str) -> Any:  # noqa: ANN401 (a class of its own package)
     """Return a theory by its name."""
     if name not in MODELS:
@@ -265,8 +264,10 @@ def _both(value: Any) -> tuple[Any, Any]:  # noqa: ANN401 (a number, or a sequen
 
 
 def _is_whole(value: object, least: int) -> bool:
-    return isinstance(value, (int, np.integer)) and not isinstance(value, bool) and value >= least
+    if isinstance(value, bool) or not isinstance(value, (int, np.integer)):
+        return False
+    return bool(value >= least)
 
 
 def _is_length(value: object) -> bool:
-    return isinstance(value, (int, float, np.number)) and 0.0 < float(value) < math.inf
+    return isinstance(value, (int, float, np.number)) and bool(0.0 < float(value) < math.inf)

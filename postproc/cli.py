@@ -10,7 +10,7 @@ import re
 import sys
 import warnings
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, NoReturn
+from typing import TYPE_CHECKING, Any, NoReturn
 
 from postproc import progress
 
@@ -53,7 +53,7 @@ class Parser(argparse.ArgumentParser):
         """Print one line and end with exit 2."""
         self.exit(EXIT_BAD_INPUT, f"{self.prog}: error: {message} (--help explains)\n")
 
-    def _print_message(self, message: str, file: IO[str] | None = None) -> None:
+    def _print_message(self, message: str, file: Any = None) -> None:  # noqa: ANN401
         """Print help; argparse ignores a full device, which `run` reports as an error."""
         (file or sys.stderr).write(message)
         (file or sys.stderr).flush()
@@ -63,7 +63,7 @@ def parser(name: str, description: str | None) -> Parser:
     """Return a parser for the command NAME, described by the module's docstring."""
     installed = Path(sys.argv[0]).name == COMMAND
     return Parser(
-        prog=f"{COMMAND} {name}" if installed else f"python -m postproc.{name}",
+        prog=f"{COMMAND} {name}" if installed else f"python -m postproc {name}",
         description=description,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
@@ -83,8 +83,7 @@ def add_verify(options: argparse.ArgumentParser) -> None:
 
 
 def add_task(options: argparse.ArgumentParser) -> None:
-    """Add a file of results, and `--point` and `--replica` that choose a task in it."""
-    options.add_argument("file", metavar="FILE.h5", type=Path)
+    """Add `--verify`, and `--point` and `--replica` that choose a task."""
     add_verify(options)
     for key, meaning in (("point", "parameter point"), ("replica", "replica")):
         help_text = f"{meaning}, from 1 (default: the first done)"
@@ -228,7 +227,7 @@ def printable(text: str) -> str:
     return "".join(shown)
 
 
-def _show_warning(message: Warning | str, *_: object) -> None:
+def _show_warning(message: Warning | str, *_: object, **__: object) -> None:
     """Print a warning in one line, without the place in the code that it is from."""
     print(f"warning: {printable(' '.join(str(message).split()))}", file=sys.stderr)
 

@@ -2,7 +2,7 @@
 
 .PHONY: bench probes accuracy experiments figures
 
-bench: build/bin/bench $(POSTPROC) ## the speed tables, JSON in build/bench; BASE=COMMIT: ratios to a commit of ours
+bench: build/bin/bench $(COMMANDS) ## the speed tables, JSON in build/bench; BASE=COMMIT: ratios to a commit of ours
 	@if [[ -n "$(BASE)" ]]; then
 	  commit=$$(git rev-parse --quiet --verify --short=10 "$(BASE)^{commit}") || {
 	    echo "BASE=$(BASE): no such commit of this repository" >&2
@@ -45,21 +45,17 @@ $(PRECISIONS:%=build/bin/accuracy-%): build/bin/accuracy-real%: FORCE | librarie
 	@export FPM_FFLAGS="$(RELEASE_FLAGS) -DBATTERY_REAL$*" FPM_LDFLAGS="-flto=auto"
 	$(call beside,accuracy,real$*,studies/accuracy/programs,studies/common)
 
-# What postproc asked up to 0.3.0: walkers, and the renewal gate alone.
+# Walkers, which postproc asked up to 0.3.0.
 build/bin/one_particle: FORCE | libraries $(fpm) information
 	@export FPM_FFLAGS="$(RELEASE_FLAGS)" FPM_LDFLAGS="$(RELEASE_LINK)"
 	$(call beside,one_particle,$(MARCH),studies/one_particle/programs,studies/common)
 
-build/bin/renewal_closure build/bin/renewal_gate: build/bin/%: FORCE | libraries $(fpm) information
-	@export FPM_FFLAGS="$(RELEASE_FLAGS)" FPM_LDFLAGS="$(RELEASE_LINK)"
-	$(call beside,$*,$(MARCH),studies/renewal_gate/programs)
-
-accuracy: build probes $(POSTPROC) ## the speed-accuracy charts and the stability tables; FULL=1: long runs
+accuracy: build probes $(COMMANDS) ## the speed-accuracy charts and the stability tables; FULL=1: long runs
 	@for study in accuracy trajectories gated_reversal; do
 	  $(PYTHON) -m studies.$$study.study --ranks $(RANKS) $(if $(filter-out 0,$(FULL)),--full)
 	done
 
-experiments: build $(POSTPROC) ## five experiments that decide whether urns remember; FULL=1: long runs
+experiments: build $(COMMANDS) ## five experiments that decide whether urns remember; FULL=1: long runs
 	@$(PYTHON) -m studies.experiments.study --ranks $(RANKS) $(if $(filter-out 0,$(FULL)),--full)
 
 # Runs behind the figures; quick ones have a tenth of the collisions (lifetimes take their time).
@@ -72,7 +68,7 @@ SHORTEN := $(if $(filter-out 0,$(FULL)),,s/(collisions *= *[0-9]+)0$$/\1/)
 PLANES  := $(notdir $(wildcard namelists/one_channel/*.nml))
 COARSEN := $(if $(filter-out 0,$(FULL)),,s/, (50|19)$$/, 10/)
 
-figures: build $(POSTPROC) ## every figure of the paper, quick; FULL=1: at the paper's own length
+figures: build $(COMMANDS) ## every figure of the paper, quick; FULL=1: at the paper's own length
 	@mkdir -p $(FIGURES)
 	cd $(FIGURES)
 	for case in $(CASES); do
@@ -84,11 +80,11 @@ figures: build $(POSTPROC) ## every figure of the paper, quick; FULL=1: at the p
 	  mpirun -n $(RANKS) $(CURDIR)/$(PROGRAM) --quiet one_channel_$$plane
 	done
 	cd $(CURDIR)
-	figure() { $(PYTHON) -m postproc.figures "$$1" "$${@:2}" --output $(FIGURES); }
+	figure() { $(COMMANDS) plot "$$1" "$${@:2}" --output $(FIGURES); }
 	figure model
 	figure app1
 	figure numris $(FIGURES)/phase_diagram.h5 $(FIGURES)/phase_diagram_polarised.h5 \
-	  --model window direction
+	  --theory window direction
 	for name in comp05 comp06 comp01; do figure $$name $(FIGURES)/$$name.h5; done
 	for name in app2 app3 app4; do figure $$name $(FIGURES)/single_urn.h5; done
 	figure lifetimes $(FIGURES)/lifetimes_{one,two,long_gate,rare_one,rare_long_gate}.h5

@@ -19,8 +19,7 @@ WHOLE = (
 )
 MORE = {
     "accuracy": ("postproc.advice", *WHOLE),
-    "common": WHOLE,
-    "compare": ("postproc.report.data", "postproc.progress", *WHOLE),
+    "common": ("postproc.advice", *WHOLE),
     "one_particle": ("postproc.progress", *WHOLE),
     "renewal_gate": WHOLE,
     "speed": WHOLE,

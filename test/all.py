@@ -94,6 +94,7 @@ def parts(arguments: argparse.Namespace) -> list[Part]:
         ),
         Part("style of the Python sources", [ruff, "check", *sources], lint=True),
         Part("format of the Python sources", [ruff, "format", "--check", *sources], lint=True),
+        Part("types of what users import", [str(TOOLS / "mypy"), "--no-error-summary"], lint=True),
         Part(
             "Fortran, debug build with traps, then the library that make has built",
             [*debug, *release],

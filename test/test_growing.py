@@ -26,9 +26,10 @@ from support.program import (
 )
 
 import postproc
-from postproc.reading.results import Results
+from postproc.reading.grid import open_results
+from postproc.reading.points import Points
 from postproc.reading.seal import seal_of
-from postproc.report.warn import explanations, warnings
+from postproc.reporting.warn import explanations, warnings
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -387,11 +388,11 @@ def test_a_point_in_two_states_is_listed_and_has_no_mean(bistable: tuple[Path, s
 
 def test_python_does_not_average_two_states(bistable: tuple[Path, str]) -> None:
     """Nor does it miss tasks that nobody asked for."""
-    with Results(bistable[0]) as results:
-        assert np.isnan(results.replica_mean("chi")[0]).tolist() == [True, False]
-        assert results.remark == ""
-        assert not any("no results" in text for text in warnings(results))
-        assert "1 of 2 points the replicas fall into two states" in explanations(results)[0]
+    results = Points(open_results(bistable[0]))
+    assert np.isnan(results.chi).tolist() == [True, False]
+    assert results.remark == ""
+    assert not any("no results" in text for text in warnings(results))
+    assert "1 of 2 points the replicas fall into two states" in explanations(results)[0]
     data = postproc.open_results(bistable[0])
     count = np.count_nonzero(data["task_status"] == 0)
     assert data.attrs["tasks"] == f"{count} of {count} tasks are complete"

@@ -34,7 +34,7 @@ GOOD = [
     "```fortran\n&scan\n  threshold = 1, 2\n/\n```",
     "```\nmake test FULL=1\n```",
     "```sh\nbuild/bin/battery FILE.nml\n```",
-    "```sh\npython -m postproc.theory --number 10 --threshold 1\n```",
+    "```sh\nbattery-postproc theory --number 10 --threshold 1\n```",
     "```python run\nx = 1\n```\n\n```python run\nprint(x)\n```",
     "```\nprinted, not typed\n```",
 ]
@@ -49,7 +49,7 @@ BAD = [
         if (ROOT / "studies").is_dir()
         else []
     ),  # else all targets may be theirs
-    ("```sh\npython -m postproc.theory --numbr 10\n```", "postproc.theory has no --numbr"),
+    ("```sh\nbattery-postproc theory --numbr 10\n```", "postproc theory has no --numbr"),
     ("```sh\npython -m postproc.alchemy\n```", "postproc.alchemy cannot be called"),
     ("```sh\npython3 test/no_such.py\n```", "there is no test/no_such.py"),
     ("```sh run\nbuild/bin/battery no_such.nml\n```", "exit code 2"),
@@ -57,6 +57,16 @@ BAD = [
     ("```fortran file=namelists/map.nml\n&run\n/\n```", "first line does not name namelists/map"),
     ("```fortran file=namelists/map.nml\n! namelists/map.nml\n```", "is not what is shown"),
 ]
+
+
+def test_the_notebook_runs(tmp_path: Path) -> None:
+    """As someone would type it, block by block; it draws five pictures."""
+    fences = Fences(ROOT, tmp_path / "work", tmp_path / "drawn")
+    fences.shown("page.md", (ROOT / "docs/tutorial_python.md").read_text(encoding="utf-8"))
+    assert fences.problems == []
+    assert len(list((tmp_path / "drawn").glob("*.png"))) == 5
+    table = (tmp_path / "work/map.csv").read_text(encoding="utf-8")
+    assert len(table.splitlines()) == 1 + 6 * 4
 
 
 @pytest.mark.parametrize("text", GOOD)

@@ -12,7 +12,7 @@ from support.program import namelist, run
 
 import postproc
 from postproc.cli import InputError
-from postproc.reading.grid import PARAMETERS
+from postproc.reading.points import PARAMETERS
 from postproc.tests.runs import edited, leave_out
 from postproc.theory.circuit import Circuit, single_urn_current
 from postproc.theory.models import MODELS, describe
@@ -63,12 +63,12 @@ def test_a_cell_of_the_grid_is_the_point_that_it_says(tmp_path: Path, scan: dict
     with h5py.File(path) as file:
         for point, cell in enumerate(np.ndindex(*(data.sizes[key] for key in keys))):
             there = data.isel(dict(zip(keys, cell, strict=True)))
-            for name in (*PARAMETERS, "chi", "seed"):
-                expected = file[name][point]  # urn_radius: both, where the scan has one
-                found = np.broadcast_to(there[name], expected.shape)
-                if name in keys and f"{name}2" in there.coords:
-                    found = np.array([found[0], there[f"{name}2"]])
-                assert np.array_equal(found, expected, equal_nan=True), (name, point)
+            for name in ("chi", "seed", *(one for one in PARAMETERS if one in file)):
+                expected = np.ravel(file[name][point])[: None if name in ("chi", "seed") else 1]
+                assert np.array_equal(there[name].values.ravel(), expected, equal_nan=True), name
+            for name, both in (("threshold", "gate_threshold"), ("urn_radius", "urn_radius")):
+                second = there.get(f"{name}2", there[name])
+                assert [there[name], second] == file[both][point].tolist()
             for share, whole in SHARES.items():
                 if share in keys:
                     assert there[whole] == int(float(there[share] * there["number"]) + 0.5)
@@ -80,8 +80,12 @@ def test_units_meanings_and_namelist_come_along(tmp_path: Path) -> None:
     path = results_of(tmp_path, SCANS["widths"])
     data = postproc.open_results(path)
     for name, one in data.variables.items():
-        assert one.attrs["units"], name
         assert one.attrs["long_name"], name
+        assert one.attrs.get("units") != "1"
+    assert data["chi"].attrs["long_name"] == "mass spread"
+    assert data["chi_error"].attrs["long_name"] == "mass spread, standard error"
+    assert data["channel1_width"].attrs["units"] == "length"
+    assert len(data.to_dataframe()) == data["task"].size
     assert data.attrs["namelist"] == (tmp_path / "in.nml").read_text(encoding="utf-8").rstrip()
     assert data.attrs["status"] == "complete"
     assert data.attrs["tasks"] == "16 of 16 tasks are complete"
@@ -89,7 +93,7 @@ def test_units_meanings_and_namelist_come_along(tmp_path: Path) -> None:
     assert data["channel1_length"].dims == ()
     mean = data.chi.sel(threshold=7).mean("replica")
     assert mean.dims == ("channel1_width", "channel2_width")
-    mean.plot()
+    assert mean.plot().axes.get_title() == "threshold = 7"
     data.to_netcdf(tmp_path / "copy.nc", engine="h5netcdf")
 
 
@@ -148,9 +152,11 @@ def test_theory_is_that_of_each_point(tmp_path: Path) -> None:
         told = describe(Circuit(number, threshold, channel2_width=width), MODELS["renewal"])
         stable = [root for root in told["roots"] if root["kind"] == "stable"]
         there = one.sel(point)
-        assert float(there["theory_chi"]) == (stable[-1]["mass_spread"] if stable else 0.0)
+        # From the homogeneous start the drift leads away only where that state is unstable.
+        away = told["homogeneous"] == "unstable"
+        assert float(there["theory_chi"]) == (stable[0]["mass_spread"] if away else 0.0)
         assert float(there["theory_polarised_current"]) == (
-            stable[-1]["net_current"] if stable else 0.0
+            stable[0]["net_current"] if away else 0.0
         )
         assert bool(there["theory_homogeneous_stable"]) == (told["homogeneous"] == "stable")
         both = data.sel(point)["theory_chi"]
@@ -266,7 +272,8 @@ def test_a_theory_or_group_that_is_not_there_is_named(tmp_path: Path) -> None:
             postproc.open_results(path, group=group)
     unequal = results_of(tmp_path, {"channel2_width": "0.1"}, gate={"threshold": "5, 6"},
                          output={"file": "'unequal.h5'"}).with_name("unequal.h5")  # fmt: skip
-    assert postproc.open_results(unequal)["gate_threshold"].values.tolist() == [5, 6]
+    data = postproc.open_results(unequal)
+    assert [int(data[name]) for name in ("threshold", "threshold2")] == [5, 6]
 
 
 def test_the_current_of_a_theory_is_that_of_the_age_of_the_runs(tmp_path: Path) -> None:

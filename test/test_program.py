@@ -374,7 +374,7 @@ def test_check_writes_nothing(tmp_path: Path, ranks: int) -> None:
 def test_currents_of_a_young_run_are_remarked_on(tmp_path: Path) -> None:
     """The plan and the run say in the same line what currents lack, --quiet says nothing."""
     table = {"channel1_width": "0.3", "channel2_width": "0.01"}
-    length = {"duration": "3", "transient_duration": "1"}
+    length = {"duration": "3000", "transient_duration": "1000"}
     groups = {"table": table, "run": length, "output": {"file": "'out.h5'"}}
     write(tmp_path, particles={"number": "1000"}, gate={"threshold": "7"}, **groups)
     told = [
@@ -382,8 +382,12 @@ def test_currents_of_a_young_run_are_remarked_on(tmp_path: Path) -> None:
         for words in (["--check", "case.nml"], ["case.nml"], ["--quiet", "--overwrite", "case.nml"])
     ]
     assert len(told[0]) == 1
-    assert "%: circulations still build up; for 0.25 % a transient of" in told[0][0]
+    assert "%: circulations still build up; &run transient_duration = " in told[0][0]
     assert told[1:] == [told[0], []]
+    groups["run"] = {"duration": "3", "transient_duration": "1"}
+    write(tmp_path, particles={"number": "1000"}, gate={"threshold": "7"}, **groups)
+    advice = run("--check", "--overwrite", "case.nml", folder=tmp_path).stdout
+    assert "more than 100 times this one; compare with theory at the age of the run" in advice
 
 
 def test_check_refuses_bad_input(tmp_path: Path) -> None:
@@ -594,7 +598,7 @@ def test_summary_has_a_line_for_a_point_over_its_replicas(tmp_path: Path) -> Non
     scan = {"channel2_width": "0.2, 0.3", "replicas": "3"}
     write(tmp_path, scan=scan, output={"file": "'out.h5'"})
     lines = run("case.nml", folder=tmp_path).stdout.splitlines()
-    at = next(at for at, line in enumerate(lines) if "polarised" in line)
+    at = next(at for at, line in enumerate(lines) if "errors over replicas" in line)
     with xarray.open_dataset(tmp_path / "out.h5") as root:
         for point, line in enumerate(lines[at + 1 : at + 3]):
             part = root.isel(point=point)
@@ -605,7 +609,7 @@ def test_summary_has_a_line_for_a_point_over_its_replicas(tmp_path: Path) -> Non
                 assert error == pytest.approx(values.std(ddof=1) / np.sqrt(3), abs=1e-5)
             assert line.split()[4] == "3"
     write(tmp_path, output={"file": "'out.h5'"})
-    assert "polarised" not in run("--overwrite", "case.nml", folder=tmp_path).stdout
+    assert "over replicas" not in run("--overwrite", "case.nml", folder=tmp_path).stdout
 
 
 def test_run_too_short_for_an_error_has_none_and_says_so(tmp_path: Path) -> None:
@@ -615,7 +619,7 @@ def test_run_too_short_for_an_error_has_none_and_says_so(tmp_path: Path) -> None
         length = {"duration": duration, "transient_duration": "0"}
         write(tmp_path, table=wide, run=length, output={"file": "'out.h5'"})
         printed = run("--overwrite", "case.nml", folder=tmp_path).stdout
-        assert ("use more replicas" in printed) is not known
+        assert ("replicas give one" in printed) is not known
         with xarray.open_dataset(tmp_path / "out.h5") as root:
             for name in ("chi", "current1", "polarised_current"):
                 assert np.isfinite(root[name].item())

@@ -11,7 +11,8 @@ import pytest
 from support.program import namelist, run
 
 from postproc.figures import film, scene
-from postproc.reading.results import Results
+from postproc.reading.grid import open_results
+from postproc.reading.points import Points
 from postproc.tests.commands import call
 
 if TYPE_CHECKING:
@@ -142,9 +143,9 @@ def test_pictures_have_all_particles_inside(tmp_path: Path, table: str, engine: 
     (tmp_path / "c.nml").write_text(text)
     ended = run("c.nml", folder=tmp_path)
     assert ended.returncode == 0, ended.stderr
-    with Results(tmp_path / "o.h5") as results:
-        circuit = results.any_circuit(0)
-        snapshots = [results.snapshot(0, 0, index) for index in range(3)]
+    results = Points(open_results(tmp_path / "o.h5"))
+    circuit = results.any_circuit(0)
+    snapshots = [results.snapshot(0, 0, index) for index in range(3)]
     walls = np.vstack(scene.walls(circuit))
     for shot in snapshots:
         x, y = film.flown(circuit, shot, 0.3)
@@ -155,6 +156,30 @@ def test_pictures_have_all_particles_inside(tmp_path: Path, table: str, engine: 
             assert inside.all()
     assert walls[:, 0].max() == pytest.approx(float(circuit.sides[1].end))
     assert walls[:, 0].min() == pytest.approx(-float(circuit.sides[0].end))
+
+
+@pytest.mark.parametrize("channel", ["channel 1", "channel 2"])
+def test_along_the_wall_of_a_channel_a_disc_is_entered_where_it_is(
+    tmp_path: Path, channel: str
+) -> None:
+    """At the end of its arc: at every time the place is that of the engine that counts hits."""
+    half, far = 0.25, 0.25 + 2.0 * np.sqrt(1.0 - 0.25**2)
+    start = {"channel 1": f"-0.09375 {half} 1 0", "channel 2": f"{far + 0.25} -{half} 1 0"}[channel]
+    (tmp_path / "start.txt").write_text(f"{start}\n")
+    widths = f"channel1_width = {2 * half}, channel2_width = {2 * half}"
+    places = {}
+    for engine in ("excursion", "collision"):
+        (tmp_path / "c.nml").write_text(
+            f"&particles number = 1, initial_file = 'start.txt' /\n&gate threshold = 9 /\n"
+            f"&table {widths}, channel1_length = 0.5, channel2_length = 1 /\n"
+            f"&run engine = '{engine}', duration = 3 /\n"
+            f"&output file = '{engine}.h5', snapshot_times_range = 0.0625, 2.9375, 47 /\n"
+        )
+        ended = run("c.nml", folder=tmp_path)
+        assert ended.returncode == 0, ended.stderr
+        with h5py.File(tmp_path / f"{engine}.h5") as file:
+            places[engine] = np.array([file[f"snapshots/{name}"][0, 0, :, 0] for name in "xy"])
+    assert places["excursion"] == pytest.approx(places["collision"], abs=1e-9)
 
 
 def test_who_runs_along_a_wall_into_its_corner_is_not_trapped(tmp_path: Path) -> None:

@@ -29,7 +29,9 @@ from postproc import launcher
 
 FENCE = re.compile(r"^( *)```([^\n`]*)\n(.*?)^\1``` *$", re.MULTILINE | re.DOTALL)
 KNOWN = ("cd", "pip", "tail", "head", "grep", "git", "sbatch", "perf")
-FIRST = re.compile(r"(?:\w+=\S+ )*(make|mpirun|fpm|python3?|build/\S+|\.\./\S+|cd|pip|tail|grep)\b")
+FIRST = re.compile(
+    r"(?:\w+=\S+ )*(make|mpirun|fpm|python3?|battery-\w+|build/\S+|\.\./\S+|cd|pip|tail|grep)\b"
+)
 PLACEHOLDER = re.compile(r"[A-Z][A-Z_]*\b|/some/|\.\.\.|\.h5$|\.nml$|\*")
 PATIENCE = 300.0
 ENVIRONMENT = {
@@ -183,6 +185,8 @@ class Fences:
         if name == "fpm":
             sections = (self.root / "fpm.rsp").read_text().split()
             return [f"no {one}" for one in words if one.startswith("@") and one not in sections]
+        if Path(name).name == "battery-postproc":
+            name, words = "python", ["python", "-m", "postproc", *words[1:]]
         if "python" in name and words[1:2] == ["-m"]:
             return self._module(words[2:], folder)
         if name in KNOWN or name == "python3":
@@ -223,7 +227,8 @@ class Fences:
         if words[0] == "pytest":
             return self._missing(words[1:], folder)
         options = [one.split("=")[0] for one in words[1:] if re.match(r"--\w", one)]
-        return [f"{words[0]} has no {one}" for one in options if one not in help_text]
+        name = " ".join(words[:at])
+        return [f"{name} has no {one}" for one in options if one not in help_text]
 
     def _help(self, words: list[str], folder: Path) -> str:
         """Return the output of a module for --help; nothing if it cannot be called."""

@@ -36,7 +36,8 @@ from scipy import special
 from postproc.advice import model_errors, transients
 from postproc.cli import InputError
 from postproc.progress import doing
-from postproc.reading.results import Results
+from postproc.reading.grid import open_results
+from postproc.reading.points import Points
 from postproc.running import RunError, plan, run
 from postproc.theory.circuit import gate_load
 from postproc.theory.models import MODELS, ancestry
@@ -109,7 +110,7 @@ class Advice:
 
     Attributes
     ----------
-    rung : a theory of `postproc.theory --model`, or the engine `excursion`.
+    rung : a theory of `theory --theory`, or the engine `excursion`.
     replicas, duration, transient_duration : of the runs, as in the namelist; 0 of a theory.
         With `cpu_seconds` 0 they are the pilot's, and `expected` is the answer.
     urn1_number : number of particles that begin in urn 1.
@@ -218,13 +219,13 @@ class Outcome:
 
 def read(file: Path, quantity: str) -> Outcome:
     """Return the results of runs from their file."""
-    with Results(file) as results:
-        chi, seconds = results.value("chi"), float(results.value("cpu_seconds").sum())
-        if quantity == "transition":
-            value, scatter = transition_of_runs(results.value("threshold"), chi)
-        else:
-            values = results.value(quantity)[0]
-            value, scatter = float(values.mean()), float(values.std(ddof=1))
+    points = Points(open_results(file))
+    chi, seconds = points.value("chi"), float(points.value("cpu_seconds").sum())
+    if quantity == "transition":
+        value, scatter = transition_of_runs(points.threshold, chi)
+    else:
+        values = points.value(quantity)[0]
+        value, scatter = float(values.mean()), float(values.std(ddof=1))
     return Outcome(value, scatter, chi.mean(axis=1), seconds)
 
 

@@ -9,7 +9,6 @@ import numpy as np
 
 from postproc.figures import style
 from postproc.figures.models import default
-from postproc.reading.points import gather
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -19,7 +18,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from postproc.reading.points import Points
-    from postproc.reading.results import Results
     from postproc.theory.model import Model
 
     Floats = NDArray[np.float64]
@@ -35,9 +33,9 @@ FILLS = (  # fill styles of app3's marks, one for each theory
 MARKS = {0: ("s", style.BLUE), 1: ("o", style.VERMILION), 2: ("^", style.GREEN)}
 
 
-def _theory(results: Results, group: Points, thresholds: Floats, model: Model) -> Floats:
+def _theory(group: Points, thresholds: Floats, model: Model) -> Floats:
     """Return a theory's current at given thresholds, for a group of one N and w."""
-    urn = results.circuit(int(group.point[0]))
+    urn = group.circuit(0)
     return model.urn_current(replace(urn, threshold=thresholds))
 
 
@@ -73,10 +71,10 @@ def _explain(axes: Axes, lines: Sequence[tuple[str, str]]) -> None:
 
 
 @style.settings()
-def figure_app2(files: Sequence[Results], models: Sequence[Model] = ()) -> Figure:
+def figure_app2(points: Points, models: Sequence[Model] = ()) -> Figure:
     """Return the stationary current of the single urn against T/N, a panel for each N."""
-    models = models or default(files)
-    points = gather(files)
+    models = models or default(points)
+    points.only("threshold", "number", "channel1_width")
     made, panels = _panels(points)
     for row, column, group in _groups(points):
         mark, colour = _look(column)
@@ -93,7 +91,7 @@ def figure_app2(files: Sequence[Results], models: Sequence[Model] = ()) -> Figur
         )
         thresholds = np.arange(0.0, min(group.threshold.max(), group.number[0]) + 1.0)
         for model in models:
-            current = _theory(files[group.file[0]], group, thresholds, model)
+            current = _theory(group, thresholds, model)
             look = {"color": colour, "ls": model.dashes, "lw": 0.9}
             panels[row].plot(thresholds / group.number[0], current, **look)
     _explain(panels[0], [(model.dashes, f"theory, {model.label}") for model in models])
@@ -110,23 +108,23 @@ def relative_difference(current: Floats, error: Floats, expected: Floats) -> tup
 
 
 @style.settings()
-def figure_app3(files: Sequence[Results], models: Sequence[Model] = ()) -> Figure:
+def figure_app3(points: Points, models: Sequence[Model] = ()) -> Figure:
     """Return the relative difference of theory and measured current.
 
     Above, of the first theory (the paper's) and the second; below, on a scale of its own, of all
     but the first. Values below the upper panel are written at its edge.
     """
-    models = models or default(files)
-    points = gather(files)
+    models = models or default(points)
+    points.only("threshold", "number", "channel1_width")
     count = np.unique(points.number).size
     made = style.figure(style.PAGE if count > 1 else 4.4, 5.6)
     panels = made.subplots(2, count, squeeze=False, sharex=True, sharey="row")
     beyond, unknown = [], 0
     for row, column, group in _groups(points):
         mark, colour = _look(column)
-        results, fraction = files[group.file[0]], group.threshold / group.number
+        fraction = group.threshold / group.number
         for at, (model, fill) in enumerate(zip(models, FILLS, strict=False)):
-            expected = _theory(results, group, group.threshold, model)
+            expected = _theory(group, group.threshold, model)
             difference, error = relative_difference(group.current, group.current_error, expected)
             lines = {"color": colour, "lw": 0.7, "ms": 4.4, "marker": mark, "ls": model.dashes}
             chosen = [axes for axes, shown in zip(panels[:, row], (at < 2, at > 0), strict=True)
@@ -176,10 +174,10 @@ def _mark_beyond(beyond: Sequence[tuple[Axes, float, float, str]]) -> None:
 
 
 @style.settings()
-def figure_app4(files: Sequence[Results], models: Sequence[Model] = ()) -> Figure:
+def figure_app4(points: Points, models: Sequence[Model] = ()) -> Figure:
     """Return currents and theory divided by N, against T/N, all N in one panel."""
-    models = models or default(files)
-    points = gather(files)
+    models = models or default(points)
+    points.only("threshold", "number", "channel1_width")
     made = style.figure(5.0, 3.7)
     axes = made.subplots()
     groups = _groups(points)
@@ -200,7 +198,7 @@ def figure_app4(files: Sequence[Results], models: Sequence[Model] = ()) -> Figur
         )
         thresholds = np.arange(0.0, min(group.threshold.max(), group.number[0]) + 1.0)
         for at, model in enumerate(models):
-            current = _theory(files[group.file[0]], group, thresholds, model)
+            current = _theory(group, thresholds, model)
             look = {"ls": lines[row % 3], "lw": 0.9} if at == 0 else {"ls": "-", "lw": 0.5}
             axes.plot(thresholds / number, current / number, color=colour, **look)
     numbers = np.unique(points.number)

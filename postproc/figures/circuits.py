@@ -1,7 +1,8 @@
-"""The paper's figures of circuits against time and against T/N: comp05, comp06, comp01."""
+"""Circuits against time and against a key: comp05, comp06, comp01, and their parts."""
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -16,186 +17,297 @@ from postproc.figures.currents import (
     explain_eta,
     settled_number2,
 )
-from postproc.figures.maps import common_circuit
+from postproc.figures.maps import STARTS, SYMBOLS, THRESHOLDS, equals, values_of
 from postproc.figures.models import default, spread_and_current
-from postproc.reading.points import gather
-from postproc.reading.results import Results
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Sequence
 
     from matplotlib.axes import Axes
+    from matplotlib.container import ErrorbarContainer
     from matplotlib.figure import Figure
+    from matplotlib.lines import Line2D
+    from numpy.typing import NDArray
 
-    from postproc.reading.points import Points
-    from postproc.theory.circuit import Circuit
+    from postproc.reading.points import Points, Series
     from postproc.theory.model import Model
 
-    Drawing = Callable[[Sequence[Results]], Figure]
+    Floats = NDArray[np.float64]
 
 MARKS = ("o", "s", "^", "D", "v", "P")
 TIME_COLOURS = (style.BLUE, style.VERMILION, style.BLACK, style.GREEN, style.PURPLE, style.ORANGE)
 MOST = 6  # points in a figure against time
-STEPS = 400  # places along the time axis of comp06
+STEPS = 400  # places along the time axis
+BRANCHES = ("chi", "polarised_current")  # what theories have, of a state
 EARLY = 3000.0  # time within which the transient battery at T = 2 decays
 
 
-def _with_tasks(files: Sequence[Results]) -> Points:
-    """Return the points with a complete task, by T, at most `MOST`."""
-    points = gather(files)
-    done = [
-        files[file].done[point].any() for file, point in zip(points.file, points.point, strict=True)
-    ]
-    points = points.where(np.array(done)).sorted_by_threshold()
-    return points.where(np.arange(points.number.size) < MOST)
+def with_tasks(points: Points) -> Points:
+    """Return the points with a complete task, by T; raise `InputError` if they are too many."""
+    found = points.where(points.done.any(axis=1)).sorted_by_threshold()
+    if len(found) > MOST:
+        raise InputError(
+            f"a figure against time shows at most {MOST} points, here are {len(found)}: choose, "
+            "--select KEY=VALUE ... or data.sel(KEY=VALUE)"
+        )
+    found.need_tasks()
+    return found
+
+
+def title(points: Points, at: int) -> str:
+    """Return what distinguishes a point: the keys of the scan, or N, T, w and w'."""
+    names = [name for name in points.keys if name not in STARTS]
+    names = names or ["number", "threshold", "channel1_width", "channel2_width"]
+    return ", ".join(equals(name, points.column(name)[at]) for name in names)
 
 
 @style.settings()
-def figure_comp05(files: Sequence[Results], models: Sequence[Model] = ()) -> Figure:
-    """Return flows and net currents against time, a panel for each point by T, eta below."""
-    models = models or default(files)
-    points = _with_tasks(files)
-    count = points.number.size
+def figure_comp05(
+    points: Points, models: Sequence[Model] = (), task: tuple[int, int] | None = None
+) -> Figure:
+    """Return flows and net currents against time, a panel for each point by T, eta below.
+
+    Of the first replica, or of one task. Circuits beyond the theories are drawn alone.
+    """
+    chosen = None
+    if task is not None:
+        points, chosen = points.where(np.array(task[:1])), task[1]
+    points = with_tasks(points)
+    count = len(points)
+    models = () if any(map(points.beyond_theory, range(count))) else models or default(points)
     made = style.figure(max(3.1 * count, 4.6), 5.4)
-    cells = made.add_gridspec(2, count, height_ratios=(2.0, 1.0))
+    cells = made.add_gridspec(1 + bool(models), count, height_ratios=(2.0, 1.0)[: 1 + bool(models)])
     for at in range(count):
-        results, point = files[points.file[at]], int(points.point[at])
-        circuit = results.circuit(point)
-        series = results.series(point, int(np.flatnonzero(results.done[point])[0]))
-        panels = draw_currents(made, cells[0, at], circuit, series, models)
-        balance = made.add_subplot(cells[1, at])
-        draw_eta(balance, circuit, models, settled_number2(circuit, series))
-        panels[0].set_title(f"({chr(97 + at)})  $T = {points.threshold[at]:.0f}$")
-        if at > 0:
-            for axes in panels:
-                axes.set_ylabel("")
-        else:
-            balance.set_ylabel(r"$\eta$, what urn 2 gains")
-    explain_eta(made.axes[0])
+        circuit = points.any_circuit(at)
+        first = int(np.flatnonzero(points.done[at])[0])
+        series = points.series(at, first if chosen is None else chosen)
+        panels = draw_currents(made, cells[0, at], circuit, series, models, points.start2(at))
+        panels[0].set_title(f"({chr(97 + at)})  {title(points, at)}" if count > 1
+                            else title(points, at))  # fmt: skip
+        for axes in panels if at > 0 else ():
+            axes.set_ylabel("")
+        if models:
+            balance = made.add_subplot(cells[1, at])
+            draw_eta(balance, circuit, models, settled_number2(circuit, series))
+            balance.set_ylabel(r"$\eta$, what urn 2 gains" if at == 0 else "")
+    if models:
+        explain_eta(made.axes[0])
     handles, labels = made.axes[0].get_legend_handles_labels()
     style.legend_above(made, handles, labels, 6, columnspacing=1.0, fontsize=7)
     return made
 
 
 @style.settings()
-def figure_comp06(files: Sequence[Results], models: Sequence[Model] = ()) -> Figure:
-    """Return chi, and below it the net current of channel 2, against time, a colour for each T.
+def figure_comp06(points: Points, models: Sequence[Model] = ()) -> Figure:
+    """Return chi, and below it the net current of channel 2, against time, a colour for each point.
 
-    The current is counted from the urn that was full at the start to the other. The beginning is
-    shown on the left if the run is much longer.
+    Mean over the replicas, and a band of their standard deviation. The current is counted from the
+    urn that was full at the start to the other. The beginning is shown on the left if the run is
+    much longer.
     """
-    models = models or default(files)
-    points = _with_tasks(files)
-    last = max(float(files[file].value("series/time").max()) for file in np.unique(points.file))
+    points = with_tasks(points)
+    models = models or default(points)
+    last = max(float(points.series(*task).time[-1]) for task in np.argwhere(points.done).tolist())
     ends = [last] if last < 3.0 * EARLY else [EARLY, last]
     made = style.figure(style.PAGE if len(ends) > 1 else 4.6, 4.8)
     panels = made.subplots(2, len(ends), squeeze=False, sharex="col", sharey="row")
     for column, end in zip(panels.T, ends, strict=True):
-        for at, colour in zip(range(points.number.size), TIME_COLOURS, strict=False):
-            results, point = files[points.file[at]], int(points.point[at])
-            _draw_histories(column, results, point, colour, end)
-            _draw_states(column, models, results.circuit(point), colour)
-        column[1].axhline(0.0, color=style.GREY, lw=0.5)
-        column[1].set_xlabel("time $t$  (length / $v$)")
-        column[1].set_xlim(0.0, end)
-        column[1].xaxis.set_major_locator(MaxNLocator(5))
-    for model in models:
-        label = f"stable $\\chi > 0$, theory, {model.label}"
-        panels[0, 0].plot([], [], color=style.GREY, ls=model.dashes, lw=0.9, label=label)
-    panels[0, 0].set_ylabel(r"mass spread $\chi$")
+        for axes, quantity in zip(column, QUANTITIES, strict=True):
+            draw_relaxation(axes, points, models, quantity, end)
     panels[0, 0].set_ylim(0.0, 1.02)
-    panels[1, 0].set_ylabel("net current, channel 2\n(per unit time)")
+    for axes in panels.flat:
+        axes.label_outer()
     handles, labels = panels[0, 0].get_legend_handles_labels()
     style.legend_above(made, handles, labels, 3, fontsize=7.5)
     return made
 
 
-def _draw_states(
-    panels: Sequence[Axes], models: Sequence[Model], circuit: Circuit, colour: str
-) -> None:
-    """Draw chi and net current of the stable polarised state of each theory that has one."""
+def _spread(series: Series, number: float) -> Floats:
+    return np.abs(number - 2.0 * series.urn1_number) / number
+
+
+def _net_current(series: Series, number: float) -> Floats:
+    net = series.flows["flow2_12"] - series.flows["flow2_21"]
+    return -net if 2.0 * series.urn1_number[0] < number else net
+
+
+# What is drawn against time: its label, how it is found, steps along the axis, theory's field.
+QUANTITIES = {
+    "chi": (r"mass spread $\chi$", _spread, STEPS, "mass_spread"),
+    "current2": ("net current, channel 2\n(per unit time)", _net_current, STEPS // 8,
+                 "net_current"),
+}  # fmt: skip
+
+
+def draw_relaxation(
+    axes: Axes, points: Points, models: Sequence[Model], quantity: str, end: float = np.inf
+) -> list[Line2D]:
+    """Draw a quantity of each point against time up to `end`; return the lines of the means."""
+    label, values_of, steps, field = QUANTITIES[quantity]
+    lines = []
+    for at, colour in zip(range(len(points)), TIME_COLOURS, strict=False):
+        means = []
+        for replica in np.flatnonzero(points.done[at]):
+            series = points.series(at, int(replica))
+            early = series.time <= end
+            middle, mean, _ = binned(
+                series.time[early], values_of(series, points.number[at])[early], steps
+            )
+            means.append(mean)
+        shortest = min(map(len, means))
+        band = np.array([one[:shortest] for one in means])
+        mean, deviation = band.mean(axis=0), band.std(axis=0, ddof=min(len(band) - 1, 1))
+        lines += axes.plot(middle[:shortest], mean, color=colour, lw=1.1, label=title(points, at))
+        if len(band) > 1:
+            axes.fill_between(middle[:shortest], mean - deviation, mean + deviation, color=colour,
+                              alpha=0.25, lw=0)  # fmt: skip
+        for model in models:
+            if not points.beyond_theory(at) and not model.refusal(circuit := points.circuit(at)):
+                state = model.reached(circuit, points.start2(at))
+                if state is not None:
+                    level = getattr(state, field)
+                    axes.axhline(level, color=colour, ls=model.dashes, lw=0.9)
     for model in models:
-        state = model.stable_state(circuit)
-        if state is not None:
-            for axes, level in zip(panels, (state.mass_spread, state.net_current), strict=True):
-                axes.axhline(level, color=colour, ls=model.dashes, lw=0.9)
+        axes.plot([], [], color=style.GREY, ls=model.dashes, lw=0.9,
+                  label=f"theory, {model.label}")  # fmt: skip
+    axes.set(xlabel="time $t$  (length / $v$)", ylabel=label)
+    if quantity != "chi":
+        axes.axhline(0.0, color=style.GREY, lw=0.5)
+    axes.set_xlim(0.0, end if np.isfinite(end) else None)
+    axes.xaxis.set_major_locator(MaxNLocator(5))
+    return lines
 
 
-def _draw_histories(
-    panels: Sequence[Axes], results: Results, point: int, colour: str, end: float
-) -> None:
-    """Draw one point up to a time, its first replica in full and the others faintly."""
-    circuit = results.circuit(point)
-    number = float(circuit.number)
-    done = np.flatnonzero(results.done[point])
-    for replica in done[::-1]:
-        series = results.series(point, int(replica))
-        early = series.time <= end
-        time, first = series.time[early], series.urn1_number[early]
-        net = (series.flows["flow2_12"] - series.flows["flow2_21"])[early]
-        if 2.0 * first[0] < number:
-            net = -net
-        shown = replica == done[0]
-        look = {"color": colour, "lw": 1.1 if shown else 0.5, "alpha": 1.0 if shown else 0.35}
-        label = f"$T = {circuit.threshold}$" if shown else None
-        middle, mean, _ = binned(time, np.abs(number - 2.0 * first) / number, STEPS)
-        panels[0].plot(middle, mean, label=label, **look)
-        middle, mean, _ = binned(time, net, STEPS // 8)
-        panels[1].plot(middle, mean, **look)
+def across_of(points: Points) -> tuple[str, str]:
+    """Return the key along the axis of curves, T if it varies, and that of their marks, or ""."""
+    names = [name for name in points.keys if name not in STARTS]
+    first = next((name for name in names if name in ("threshold", "threshold_fraction")), "")
+    across = first or ("number" if "number" in names else (names or ["threshold"])[0])
+    others = [name for name in names if name != across and
+              not (across == "number" and name == "threshold")]  # fmt: skip
+    points.only(across, *others[:1])
+    return across, "".join(others[:1])
+
+
+def draw_curves(
+    axes: Axes, points: Points, models: Sequence[Model], quantity: str = "polarised_current",
+    against: str = "",
+) -> list[ErrorbarContainer]:  # fmt: skip
+    """Draw means of a variable against a key, or another variable; a mark for each second key."""
+    across, other = across_of(points)
+    drawn, fraction = [], across in THRESHOLDS and np.unique(points.number).size == 1
+    for at, (value, part) in enumerate(points.groups(*([other] if other else []))):
+        colour, mark = style.CYCLE[at % len(style.CYCLE)], MARKS[at % len(MARKS)]
+        group = part.where(np.argsort(part.column(across), kind="stable"))
+        places = group.column(across) / (group.number if across == "threshold" and fraction else 1)
+        x, x_error = group.mean(against) if against else (places, None)
+        y, y_error = group.mean(quantity)
+        label = ", ".join(equals(name, one) for name, one in value.items())
+        drawn.append(axes.errorbar(x, y, y_error, x_error, fmt=mark, color=colour, mfc="none",
+                                   elinewidth=0.7, ms=3.8, label=label or "measured"))  # fmt: skip
+        for model in models:
+            found = _branch(group, model, places, fraction)
+            if quantity in found:
+                axes.plot(found[against or "x"], found[quantity], color=colour, ls=model.dashes,
+                          lw=0.9)  # fmt: skip
+    for model in models if quantity in BRANCHES else ():
+        axes.plot([], [], color=style.GREY, ls=model.dashes, lw=0.9,
+                  label=f"theory, {model.label}")  # fmt: skip
+    axes.set_xlabel(values_of(points, against)[1] if against
+                    else "$T/N$" if fraction else SYMBOLS.get(across, across))  # fmt: skip
+    axes.set_ylabel(values_of(points, quantity)[1])
+    axes.xaxis.set_major_locator(MaxNLocator(5))
+    return drawn
+
+
+def _branch(group: Points, model: Model, places: Floats, fraction: bool) -> dict[str, Floats]:
+    """Return a theory's states through the points of a group, by T at each whole number."""
+    if any(map(group.beyond_theory, range(len(group)))) or model.refusal(group.circuit(0)):
+        return {}
+    if fraction:
+        circuit = group.circuit(0)
+        last = min(int(group.threshold.max()), int(circuit.number))  # as for all above
+        thresholds = np.arange(max(int(group.threshold.min()), 1), last + 1)
+        found = spread_and_current(model, circuit, thresholds)
+        places = thresholds / float(circuit.number)
+    else:
+        states = [model.reached(group.circuit(at), group.start2(at)) for at in range(len(group))]
+        values = [(math.nan, math.nan) if one is None else (one.mass_spread, one.net_current)
+                  for one in states]  # fmt: skip
+        found = np.reshape(values, (-1, 2)).T
+    return {"x": places, **dict(zip(BRANCHES, found, strict=True))}
 
 
 @style.settings()
-def figure_comp01(files: Sequence[Results], models: Sequence[Model] = ()) -> Figure:
-    """Return currents along the polarity against T/N and against chi, one mark for each w'.
+def figure_comp01(points: Points, models: Sequence[Model] = ()) -> Figure:
+    """Return currents along the polarity against a key and against chi, one mark for each w'.
 
     The polarity is the instantaneous one, at all points: next to a transition chi does not decide
     which points are polarised.
-    `models` are the theories to draw, those of `models.default` if none are given.
     """
-    models = models or default(files)
-    points = gather(files)
-    common_circuit(files, points)
-    if np.unique(points.start).size > 1:
-        raise InputError("figure comp01 needs runs of one start")
+    models = models or default(points)
     made = style.figure(style.PAGE, 3.4)
     left, right = made.subplots(1, 2, sharey=True)
-    for at, width in enumerate(np.unique(points.channel2_width)):
-        group = points.where(points.channel2_width == width).sorted_by_threshold()
-        colour, mark = style.CYCLE[at % len(style.CYCLE)], MARKS[at % len(MARKS)]
-        look = {"fmt": mark, "color": colour, "mfc": "none", "elinewidth": 0.7, "ms": 3.8}
-        fraction = group.threshold / group.number
-        label = f"$w' = {width:.4g}$"
-        left.errorbar(fraction, group.along, group.along_error, label=label, **look)
-        right.errorbar(group.chi, group.along, group.along_error, group.chi_error, **look)
-        for model in models:
-            _draw_branch((left, right), files, group, model, colour)
-    for model in models:
-        look = {"color": style.GREY, "ls": model.dashes, "lw": 0.9}
-        left.plot([], [], label=f"theory, {model.label}", **look)
-    style.label_fraction(left)
-    left.set_ylabel("polarised current (per unit time)")
-    right.set_xlabel(r"mass spread $\chi$")
-    right.set_xlim(0.0, 1.0)
+    draw_curves(left, points, models)
+    draw_curves(right, points, models, against="chi")
+    right.set(xlim=(0.0, 1.0), ylabel="")
     left.set_ylim(bottom=min(0.0, left.get_ylim()[0]))
     handles, labels = left.get_legend_handles_labels()  # lines come first
+    count = len(models)
     entries = list(zip(handles, labels, strict=True))
-    handles, labels = zip(*entries[len(models) :], *entries[: len(models)], strict=True)
+    handles, labels = zip(*entries[count:], *entries[:count], strict=True)
     style.legend_above(made, handles, labels, 4, fontsize=7.5)
     return made
 
 
-def _draw_branch(
-    panels: tuple[Axes, Axes],
-    files: Sequence[Results],
-    group: Points,
-    model: Model,
-    colour: str,
-) -> None:
-    """Draw a theory's stable polarised state through the thresholds of a group."""
-    circuit = files[group.file[0]].circuit(int(group.point[0]))
-    last = min(int(group.threshold.max()), int(circuit.number))  # as for all above
-    thresholds = np.arange(max(int(group.threshold.min()), 1), last + 1)
-    spread, current = spread_and_current(model, circuit, thresholds)
-    look = {"color": colour, "ls": model.dashes, "lw": 0.9}
-    panels[0].plot(thresholds / float(circuit.number), current, **look)
-    panels[1].plot(spread, current, **look)
+def draw_characteristic(axes: Axes, points: Points, models: Sequence[Model]) -> list[Line2D]:
+    """Draw the voltage U = ln(n2/n1) of the urns' densities against the net current J over a scan.
+
+    On a second axis the power J U, full at its maximum. The densities follow from the means of chi,
+    which in the homogeneous state is the size of fluctuations. Return the lines of U and of J U.
+    """
+    points.need_tasks()
+    points.circuit(0)  # both urns are alike
+    across, _ = across_of(points)
+    points = points.where(np.argsort(points.column(across), kind="stable"))
+    current, error = points.mean("polarised_current")
+    voltage, deviation = voltage_of(*points.mean("chi"))
+    shown = axes.errorbar(current, voltage, deviation, error, fmt="o", color=style.BLUE,
+                          mfc="none", ms=3.8, lw=0.7, label="$U$, measured")  # fmt: skip
+    right = axes.twinx()
+    power, look = current * voltage, {"color": style.ORANGE, "ms": 3.4, "lw": 0.7}
+    (line,) = right.plot(current, power, "s:", mfc="none", **look)
+    axes.plot([], [], "s:", mfc="none", label="$J U$, measured", **look)
+    if np.isfinite(power).any():
+        best = int(np.nanargmax(power))
+        where = equals(across, points.column(across)[best])
+        right.plot(current[best], power[best], "s", **look)
+        axes.plot([], [], "s", label=f"largest $J U$, {power[best]:.3g} at {where}", **look)
+    for model in models:
+        found = _branch(points, model, points.column(across), fraction=False)
+        if found:
+            level = voltage_of(found["chi"], 0.0)[0]
+            axes.plot(found["polarised_current"], level, color=style.BLUE, ls=model.dashes, lw=0.9,
+                      label=f"$U$, theory, {model.label}")  # fmt: skip
+    axes.set(xlabel="net current $J$ (per unit time)", ylabel=r"$U = \ln(n_2/n_1)$")
+    axes.set_ylim(bottom=0.0)
+    right.set_ylabel("power $J U$", color=style.ORANGE)
+    right.set_ylim(bottom=0.0)
+    return [shown.lines[0], line]
+
+
+def voltage_of(chi: Floats, error: Floats | float) -> tuple[Floats, Floats]:
+    """Return U = ln(n2/n1) = ln((1 + chi)/(1 - chi)) and its standard error; NaN at chi = 1."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        known = np.where(chi < 1.0, chi, math.nan)
+        return 2.0 * np.arctanh(known), 2.0 * error / (1.0 - known**2)
+
+
+@style.settings()
+def figure_characteristic(points: Points, models: Sequence[Model] = ()) -> Figure:
+    """Return the characteristic of the battery, with a legend above."""
+    made = style.figure(4.8, 3.8)
+    axes = made.subplots()
+    draw_characteristic(axes, points, models or default(points))
+    style.legend_above(made, *axes.get_legend_handles_labels(), 2, fontsize=7.5)
+    return made

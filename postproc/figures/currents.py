@@ -9,23 +9,23 @@ import numpy as np
 from matplotlib.ticker import MaxNLocator
 
 from postproc.figures import style
-from postproc.reading.results import Results
-from postproc.theory.models import defaults
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from matplotlib.axes import Axes
+    from matplotlib.container import ErrorbarContainer
     from matplotlib.figure import Figure
     from matplotlib.gridspec import SubplotSpec
     from matplotlib.lines import Line2D
     from numpy.typing import NDArray
 
-    from postproc.reading.results import Series
+    from postproc.reading.points import Series
     from postproc.theory.circuit import Circuit
     from postproc.theory.model import Model
 
     Floats = NDArray[np.float64]
+    Binned = tuple[Floats, Floats, Floats]
 
 MARKS = 32  # points of a flow along the axis
 BINS = 80  # steps of the lines of the net currents
@@ -39,7 +39,7 @@ FLOW_LOOK = {
 }
 
 
-def binned(time: Floats, values: Floats, bins: int) -> tuple[Floats, Floats, Floats]:
+def binned(time: Floats, values: Floats, bins: int) -> Binned:
     """Return middle, mean and standard error of at most `bins` bins of equally many entries."""
     pieces = min(bins, time.size)
     starts = np.linspace(0, time.size, pieces + 1).astype(int)
@@ -94,30 +94,55 @@ def explain_eta(axes: Axes) -> None:
     axes.plot([], [], mfc="none", label="reached", **look)
 
 
+def draw_flows(
+    axes: Axes, circuit: Circuit, series: Series, models: Sequence[Model], start2: float
+) -> list[ErrorbarContainer]:
+    """Draw flows (marks), net currents (lines), and both by theories, into one panel."""
+    flows, nets, levels = _parts(circuit, series, models, start2)
+    drawn = _draw(axes, flows, nets)
+    for model, one in zip(models, levels, strict=True):
+        _draw_levels(axes, model, one)
+    axes.set(xlim=(0.0, series.time[-1]), ylabel="flow (per unit time)",
+             xlabel="time $t$  (length / $v$)")  # fmt: skip
+    return drawn
+
+
+def _parts(
+    circuit: Circuit, series: Series, models: Sequence[Model], start2: float
+) -> tuple[list[Binned], list[Binned], list[dict[str, float]]]:
+    """Return flows and net currents, `binned`, and those of theories, by name.
+
+    A theory's are those of the state that it reaches from the start, of the final polarity.
+    """
+    reached, number = settled_number2(circuit, series), float(circuit.number)
+    levels = []
+    for model in models:
+        state = model.reached(circuit, start2)
+        second = 0.5 * number if state is None else state.urn2_number
+        flipped = circuit.alike and (second > 0.5 * number) != (reached > 0.5 * number)
+        levels.append(model.levels(circuit, number - second if flipped else second))
+    nets = _net_currents(series, 1.0 if reached > 0.5 * number else -1.0)
+    return [binned(series.time, series.flows[name], MARKS) for name in FLOW_LOOK], nets, levels
+
+
 def draw_currents(
-    made: Figure, cell: SubplotSpec, circuit: Circuit, series: Series, models: Sequence[Model]
-) -> list[Axes]:
+    made: Figure, cell: SubplotSpec, circuit: Circuit, series: Series, models: Sequence[Model],
+    start2: float,
+) -> list[Axes]:  # fmt: skip
     """Draw flows (marks), net currents (lines), and both by theories; return the panels.
 
     Net currents are counted along the final polarity of the run, both with the same sign. A
     theory's flow has the colour of the corresponding marks, its net current is black. The axis is
     broken if a large part of it is empty, so there are one or two panels, the upper one first.
     """
-    reached = settled_number2(circuit, series)
-    levels = [model.levels(circuit, reached) for model in models]
-    nets = _net_currents(series, 1.0 if reached > 0.5 * float(circuit.number) else -1.0)
-    flows = [binned(series.time, series.flows[name], MARKS) for name in FLOW_LOOK]
+    flows, nets, levels = _parts(circuit, series, models, start2)
     settled = [mean[middle > START * series.time[-1]] for middle, mean, _ in [*flows, *nets]]
     ranges = _ranges(np.concatenate([*settled, *(list(one.values()) for one in levels)]))
     parts = cell.subgridspec(len(ranges), 1, hspace=0.0)
     panels = [made.add_subplot(part) for part in parts]
     for axes, limits in zip(panels, ranges[::-1], strict=True):
-        _draw(axes, flows, nets)
-        for model, one in zip(models, levels, strict=True):
-            _draw_levels(axes, model, one)
-        axes.set_ylim(*limits)
-        axes.set_xlim(0.0, series.time[-1])
-        axes.set_ylabel("flow (per unit time)")
+        draw_flows(axes, circuit, series, models, start2)
+        axes.set(ylim=limits, xlabel="")
         axes.xaxis.set_major_locator(MaxNLocator(4))
         axes.yaxis.set_major_locator(MaxNLocator(5))
     panels[-1].set_xlabel("time $t$  (length / $v$)")
@@ -126,7 +151,7 @@ def draw_currents(
     return panels
 
 
-def _net_currents(series: Series, sign: float) -> list[tuple[Floats, Floats, Floats]]:
+def _net_currents(series: Series, sign: float) -> list[Binned]:
     """Return the net currents of channel 1 from urn 1 to urn 2 and of channel 2 back, `binned`."""
     ways = (("flow1_12", "flow1_21"), ("flow2_21", "flow2_12"))
     nets = [sign * (series.flows[ahead] - series.flows[back]) for ahead, back in ways]
@@ -149,16 +174,16 @@ def _ranges(values: Floats) -> list[tuple[float, float]]:
 
 
 def _draw(
-    axes: Axes,
-    flows: Sequence[tuple[Floats, Floats, Floats]],
-    nets: Sequence[tuple[Floats, Floats, Floats]],
-) -> None:
+    axes: Axes, flows: Sequence[Binned], nets: Sequence[Binned]
+) -> list[ErrorbarContainer]:  # fmt: skip
+    drawn = []
     for (mark, colour, label), (middle, mean, error) in zip(FLOW_LOOK.values(), flows, strict=True):
         look = {"fmt": mark, "color": colour, "mfc": "none", "ms": 3.5, "elinewidth": 0.6}
-        axes.errorbar(middle, mean, error, label=label, **look)
+        drawn.append(axes.errorbar(middle, mean, error, label=label, **look))
     for number, (middle, mean, _) in enumerate(nets, 1):
         colour = (style.VERMILION, style.SKY)[number - 1]
         axes.plot(middle, mean, color=colour, lw=1.1, label=f"net current, channel {number}")
+    return drawn
 
 
 def _draw_levels(axes: Axes, model: Model, levels: dict[str, float]) -> None:
@@ -177,29 +202,3 @@ def _break(upper: Axes, lower: Axes) -> None:
     look = {"marker": [(-1.0, -0.5), (1.0, 0.5)], "ms": 8, "ls": "none", "color": style.BLACK}
     for axes, height in ((upper, 0.0), (lower, 1.0)):
         axes.plot([0, 1], [height] * 2, transform=axes.transAxes, clip_on=False, mew=0.8, **look)
-
-
-@style.settings()
-def figure_currents(
-    results: Results, point: int = 0, replica: int = 0, models: Sequence[Model] = ()
-) -> Figure:
-    """Return the picture of one task of `results`."""
-    circuit, series = results.any_circuit(point), results.series(point, replica)
-    made = style.figure(style.PAGE, 3.7)
-    left, right = made.add_gridspec(1, 2, width_ratios=(2.2, 1.0))
-    # Circuits beyond the theories are drawn alone.
-    drawn = () if results.beyond_theory(point) else models or defaults([circuit])
-    axes = draw_currents(made, left, circuit, series, drawn)[0]
-    if drawn:
-        balance = made.add_subplot(right)
-        draw_eta(balance, circuit, drawn, settled_number2(circuit, series))
-        balance.set_title(r"$\eta$, what urn 2 gains")
-        explain_eta(balance)
-        balance.legend(fontsize=6.5, loc="best", handletextpad=0.2)
-    axes.set_title(
-        f"$N = {circuit.number}$, $T = {circuit.thresholds}$, "
-        f"$w = {circuit.channel1_width:g}$, $w' = {circuit.channel2_width:g}$"
-    )
-    style.legend_above(made, *axes.get_legend_handles_labels(), 4, fontsize=7, handlelength=1.8)
-    style.note(axes, results.remark)
-    return made

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import subprocess
+import sys
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
@@ -18,16 +19,18 @@ from postproc.figures import style
 from postproc.figures.currents import binned
 from postproc.figures.scene import counted_by, draw_table, of_side
 from postproc.progress import each
-from postproc.reading.results import Results, Snapshot
+from postproc.reading.grid import dataset_of
+from postproc.reading.points import Points
 from postproc.theory import outlines
 
 if TYPE_CHECKING:
     from pathlib import Path
 
+    import xarray as xr
     from matplotlib.figure import Figure
     from numpy.typing import NDArray
 
-    from postproc.reading.results import Series
+    from postproc.reading.points import Series, Snapshot
     from postproc.theory.circuit import Circuit
 
     Floats = NDArray[np.float64]
@@ -68,15 +71,15 @@ class Scenes:
         return np.array([snapshot.time for snapshot in self.snapshots])
 
 
-def read_scenes(results: Results, point: int, replica: int) -> Scenes:
+def read_scenes(points: Points, point: int, replica: int) -> Scenes:
     """Read the data for a film of one task."""
-    snapshots = results.snapshots(point, replica)
+    snapshots = points.snapshots(point, replica)
     if len(snapshots) < 2:
-        raise cli.InputError(f"{results.path}: a film needs at least two snapshots")
-    scenes = Scenes(results.any_circuit(point), snapshots)
-    if results.has("series/time"):
-        scenes.series = results.series(point, replica)
-    log = results.events()
+        raise cli.InputError(f"{points.files}: a film needs at least two snapshots")
+    scenes = Scenes(points.any_circuit(point), snapshots)
+    if points.has_group("series"):
+        scenes.series = points.series(point, replica)
+    log = points.events()
     if log:
         turned = log["kind"] == 2
         scenes.reversals = (log["time"][turned], log["where"][turned])
@@ -289,3 +292,42 @@ def write(scenes: Scenes, seconds: float, path: Path) -> None:
     except subprocess.CalledProcessError as problem:
         *_, reason = (problem.stderr.strip() or "ffmpeg failed").splitlines()
         raise cli.InputError(f"cannot write {path}: {reason}") from problem
+
+
+def film(
+    results: str | Path | xr.Dataset,
+    file: str | Path = "film.mp4",
+    *,
+    point: int | None = None,
+    replica: int | None = None,
+    seconds: float = SECONDS,
+    verify: bool = False,
+) -> Path:
+    """Make a film of one task from its snapshots; return its path.
+
+    Parameters
+    ----------
+    results : a results file, or a dataset of `open_results`.
+    file : path of the film: `.mp4`, or `.gif`, which has every second frame.
+    point, replica : of the task, from 1; None: the first that is complete.
+    seconds : length of the film, at most.
+    verify : whether to read the file as a whole and check its digest.
+
+    Raises
+    ------
+    InputError
+        There are fewer than two snapshots, the film cannot be written, or imageio-ffmpeg, which an
+        MP4 needs, is not installed.
+    """
+    if not 0.0 < seconds <= 3600.0:
+        raise cli.InputError(f"seconds = {seconds} must lie above 0 and up to 3600")
+    points = Points(dataset_of(results, verify=verify))
+    scenes = read_scenes(points, *points.task(point, replica))
+    points.say_if_partial()
+    if not joined(scenes.times):
+        told = f"snapshots more than {CLOSE} apart follow each other without flight"
+        print(f"{points.files}: {told}", file=sys.stderr)
+    path = cli.file_to_write(cli.path_of(file, "file"))
+    cli.output_folder(path.parent)
+    write(scenes, seconds, path)
+    return path

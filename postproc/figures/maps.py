@@ -1,8 +1,7 @@
-"""Maps of chi and polarised current over T and w' with the theory's lines, Fig. numris."""
+"""Maps of chi and polarised current over two keys, over T and w' with transition lines (numris)."""
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -10,36 +9,82 @@ import numpy as np
 from postproc import cli
 from postproc.figures import style
 from postproc.figures.models import default
-from postproc.reading.points import gather
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from matplotlib.axes import Axes
+    from matplotlib.collections import QuadMesh
     from matplotlib.figure import Figure
     from numpy.typing import NDArray
 
     from postproc.reading.points import Points
-    from postproc.reading.results import Results
     from postproc.theory.circuit import Circuit
     from postproc.theory.model import Model
 
     Floats = NDArray[np.float64]
     Line = tuple[Floats, Floats, str, str]
 
+STARTS = ("urn1_number", "urn1_fraction")
+THRESHOLDS = ("threshold", "threshold_fraction")
+WIDTH = "channel2_width"
+SYMBOLS = {
+    "number": "$N$", "threshold": "$T$", "threshold_fraction": "$T/N$", "channel1_width": "$w$",
+    "channel1_length": r"$\ell$", "channel2_width": "$w'$", "channel2_length": r"$\ell'$",
+    "urn_radius": "$r$",
+}  # fmt: skip
+LOOKS = {
+    "chi": (r"mass spread $\chi$", {"vmin": 0.0, "vmax": 1.0, "cmap": "viridis"}),
+    "polarised_current": ("polarised current (per unit time)", {"vmin": 0.0, "cmap": "magma"}),
+}
+
+
+def equals(name: str, value: float) -> str:
+    """Return "name = value" for a legend or title, with the symbol of a key."""
+    if name not in SYMBOLS:
+        return f"{name} = {value:.4g}"
+    return f"${SYMBOLS[name].strip('$')} = {value:.4g}$"
+
+
+def axes_of(keys: Sequence[str]) -> tuple[str, str]:
+    """Return the keys along the axes of maps, "" for none: T across and w' up, if scanned."""
+    names = sorted((name for name in keys if name not in STARTS),
+                   key=lambda name: (name not in THRESHOLDS, name == WIDTH))  # fmt: skip
+    up = WIDTH if WIDTH in names[1:] else "".join(names[1:2])
+    return "".join(names[:1]), up
+
+
+def map_axes(points: Points) -> tuple[str, str]:
+    """Return the keys along the axes of a map, T and w' where less than two were scanned."""
+    scanned = [name for name in points.keys if name not in STARTS]
+    others = [name for name in ("threshold", WIDTH) if name not in scanned]
+    return axes_of([*scanned, *others[: max(2 - len(scanned), 0)]])
+
+
+def columns_of(points: Points) -> tuple[tuple[Floats, str], tuple[Floats, str]]:
+    """Return the values along the axes of a map at each point, and their labels; T as T/N."""
+    found = []
+    for name in map_axes(points):
+        values, label = points.keys.get(name, points.value(name)), SYMBOLS.get(name, name)
+        if name == "threshold" and np.unique(points.number).size == 1:
+            values, label = values / points.number, "$T/N$"
+        found.append((np.asarray(values, float), label))
+    return found[0], found[1]
+
 
 def grid(points: Points, values: Floats) -> tuple[Floats, Floats, Floats]:
-    """Return T, w' and `values` as a map, shape (w', T), NaN where there is no point.
+    """Return the values along x and y, and `values` as a map, shape (y, x), NaN without a point.
 
     Raises `InputError` if two points have the same place.
     """
-    thresholds, columns = np.unique(points.threshold, return_inverse=True)
-    widths, rows = np.unique(points.channel2_width, return_inverse=True)
-    filled = np.full((widths.size, thresholds.size), np.nan)
+    (across, _), (up, _) = columns_of(points)
+    x, columns = np.unique(across, return_inverse=True)
+    y, rows = np.unique(up, return_inverse=True)
+    filled = np.full((y.size, x.size), np.nan)
     if len(set(zip(rows, columns, strict=True))) < values.size:
         raise cli.InputError("two points have the same T, w' and start: a map shows one")
     filled[rows, columns] = values
-    return thresholds, widths, filled
+    return x, y, filled
 
 
 def edges(centres: Floats) -> Floats:
@@ -57,29 +102,6 @@ def by_start(points: Points) -> list[tuple[str, Points]]:
         (rf"$\chi(0) = {start:.3g}$", points.where(points.start == start))
         for start in np.unique(points.start)
     ]
-
-
-def common_circuit(files: Sequence[Results], points: Points) -> Circuit:
-    """Return the circuit of the first point; raise `InputError` if more than T and w' varies.
-
-    Runs of as many collisions have different ages.
-    """
-    places = zip(points.file, points.point, strict=True)
-    circuits = [files[file].circuit(int(point)) for file, point in places]
-    if len({replace(one, threshold=0, channel2_width=0.0, age=0.0) for one in circuits}) > 1:
-        raise cli.InputError("this figure needs runs that differ in T, w' and start alone")
-    return circuits[0]
-
-
-def _draw(axes: Axes, points: Points, values: Floats, look: dict[str, object]) -> object:
-    thresholds, widths, filled = grid(points, values)
-    axes.set_facecolor("#D0D0D0")
-    number = points.number[0]
-    mesh = axes.pcolormesh(
-        edges(thresholds) / number, edges(widths), np.ma.masked_invalid(filled), **look
-    )
-    mesh.set_rasterized(True)
-    return mesh
 
 
 def transition_lines(points: Points, circuit: Circuit, models: Sequence[Model]) -> list[Line]:
@@ -101,51 +123,70 @@ def tricritical_places(circuit: Circuit, models: Sequence[Model]) -> Floats:
     return np.reshape(found, (-1, 2)).T / [[float(circuit.number)], [1.0]]
 
 
-def _draw_lines(axes: Axes, points: Points, lines: Sequence[Line], marks: Floats) -> None:
+def of_theory(points: Points, models: Sequence[Model]) -> tuple[list[Line], Floats]:
+    """Return lines and tricritical points of theories over T/N and w'; none over other keys."""
+    across, up = map_axes(points)
+    if across not in THRESHOLDS or up != WIDTH or points.beyond_theory(0) or not models:
+        return [], np.empty((2, 0))
+    circuit = points.circuit(0)
+    return transition_lines(points, circuit, models), tricritical_places(circuit, models)
+
+
+def draw_map(axes: Axes, points: Points, values: Floats, look: dict[str, object]) -> QuadMesh:
+    """Draw values at points as cells, grey where there is none; return matplotlib's mesh."""
+    x, y, filled = grid(points, values)
+    axes.set_facecolor("#D0D0D0")
+    mesh = axes.pcolormesh(edges(x), edges(y), np.ma.masked_invalid(filled), **look)
+    mesh.set_rasterized(True)
+    (across, label_across), (up, label_up) = columns_of(points)
+    axes.set(xlabel=label_across, ylabel=label_up, xlim=edges(np.unique(across))[[0, -1]])
+    low, high = edges(np.unique(up))[[0, -1]]
+    axes.set_ylim(max(low, 0.0), high)
+    return mesh
+
+
+def draw_lines(axes: Axes, lines: Sequence[Line], marks: Floats) -> None:
+    """Draw lines and tricritical points of theories; the limits of the axes stay."""
+    limits = axes.get_xlim(), axes.get_ylim()
     for fraction, widths, dashes, label in lines:
         axes.plot(fraction, widths, ls=dashes, label=f"transition, {label}", **style.on_map())
     if marks.size:
         axes.scatter(*marks, s=26, marker="D", color=style.BLACK, edgecolors="white", lw=0.8,
                      zorder=3, label="tricritical: a jump on the left")  # fmt: skip
-    low, high = edges(np.unique(points.channel2_width))[[0, -1]]
-    axes.set_ylim(max(low, 0.0), high)
-    borders = edges(np.unique(points.threshold)) / points.number[0]
-    axes.set_xlim(borders[0], borders[-1])
+    axes.set(xlim=limits[0], ylim=limits[1])
+
+
+def values_of(points: Points, name: str) -> tuple[Floats, str, dict[str, object]]:
+    """Return means over replicas of a variable, a label, and the look of their map."""
+    about = points.data[name].attrs if points.has(name) else {}
+    label, look = LOOKS.get(name, (about.get("long_name", name), {}))
+    return points.mean(name)[0], label, dict(look)
 
 
 @style.settings()
-def figure_numris(files: Sequence[Results], models: Sequence[Model] = ()) -> Figure:
+def figure_numris(points: Points, models: Sequence[Model] = ()) -> Figure:
     """Return maps of chi and current, a row for each start, and of the difference of two starts.
 
     The current is counted along the instantaneous polarity: one with a fixed sign would cancel if
     the polarity reverses in a run.
     """
-    models = models or default(files)
-    points = gather(files)
-    circuit = common_circuit(files, points)
-    lines, marks = transition_lines(points, circuit, models), tricritical_places(circuit, models)
+    points.only(*map_axes(points), "start")
+    lines, marks = of_theory(points, models or default(points))
     starts = by_start(points)
     rows = len(starts) + (len(starts) == 2)
     made = style.figure(style.PAGE, 0.5 + 2.35 * rows)
     panels = made.subplots(rows, 2, squeeze=False, sharex=True, sharey=True)
-    most = float(np.nanmax(points.along, initial=0.0)) or 1.0  # no current without channel 2
-    looks = [
-        ("chi", r"mass spread $\chi$", {"vmin": 0.0, "vmax": 1.0, "cmap": "viridis"}),
-        ("along", "polarised current (per unit time)",
-         {"vmin": 0.0, "vmax": most, "cmap": "magma"}),
-    ]  # fmt: skip
+    most = float(np.nanmax(points.current, initial=0.0)) or 1.0  # no current without channel 2
     for row, (name, part) in enumerate(starts):
-        for axes, (field, label, look) in zip(panels[row], looks, strict=True):
-            mesh = _draw(axes, part, getattr(part, field), look)
-            _draw_lines(axes, part, lines, marks)
+        for axes, quantity in zip(panels[row], LOOKS, strict=True):
+            values, label, look = values_of(part, quantity)
+            mesh = draw_map(axes, part, values, {"vmax": most, **look})
+            draw_lines(axes, lines, marks)
             made.colorbar(mesh, ax=axes, label=label, pad=0.02)
             axes.set_title(f"{name}")
+            axes.label_outer()
     if len(starts) == 2:
-        _draw_differences(made, panels[-1], starts, lines, marks, looks)
-    for axes in panels[-1]:
-        style.label_fraction(axes)
-    for axes in panels[:, 0]:
-        axes.set_ylabel("$w'$")
+        _draw_differences(made, panels[-1], starts, lines, marks)
     handles, labels = panels[0, 0].get_legend_handles_labels()
     style.legend_above(made, handles, labels, 3, fontsize=7.5)
     return made
@@ -157,7 +198,6 @@ def _draw_differences(
     starts: list[tuple[str, Points]],
     lines: Sequence[Line],
     marks: Floats,
-    looks: list[tuple[str, str, dict[str, object]]],
 ) -> None:
     """Draw the result of the more polarised start minus that of the other."""
     (name, one), (other_name, other) = starts
@@ -166,14 +206,13 @@ def _draw_differences(
     if not pairs:
         raise cli.InputError("figure numris: the two starts have no point in common")
     first, second = np.array(pairs).T
-    chosen = np.zeros(other.number.size, bool)
-    chosen[second] = True
-    common = other.where(chosen)
-    for axes, (field, label, _) in zip(panels, looks, strict=True):
-        difference = getattr(other, field)[second] - getattr(one, field)[first]
-        most = max(float(np.nanmax(np.abs(difference))), 1e-9)
+    for axes, quantity in zip(panels, LOOKS, strict=True):
+        values, label, _ = values_of(other, quantity)
+        difference = values[second] - values_of(one, quantity)[0][first]
+        most = max(float(np.nanmax(np.abs(difference), initial=0.0)), 1e-9)
         look = {"vmin": -most, "vmax": most, "cmap": "PuOr"}
-        mesh = _draw(axes, common, difference, look)
-        _draw_lines(axes, common, lines, marks)
+        mesh = draw_map(axes, other.where(second), difference, look)
+        draw_lines(axes, lines, marks)
         made.colorbar(mesh, ax=axes, label=f"difference of\n{label}", pad=0.02)
         axes.set_title(f"{other_name} less {name}")
+        axes.label_outer()

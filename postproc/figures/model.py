@@ -8,16 +8,14 @@ import numpy as np
 
 from postproc.figures import style
 from postproc.figures.scene import counted_by, draw_table, ways
-from postproc.reading.results import Snapshot
+from postproc.reading.points import Snapshot
 from postproc.theory.circuit import Circuit
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from postproc.reading.results import Results
+    from postproc.reading.points import Points
 
 SHOWN = 40  # particles of a run that are drawn
 # wider than in the paper's runs, so that all lengths are visible
@@ -54,21 +52,21 @@ def _measure(
         axes.text(middle, level - 0.05, text, ha="center", va="top")
 
 
-def figure_model(files: Sequence[Results]) -> Figure:
-    """Return the table, with some particles of the first snapshot if there is a file."""
-    return _figure(files, EXAMPLE)
+def figure_model(points: Points | None = None) -> Figure:
+    """Return the table, with some particles of the first snapshot if there are points."""
+    return _figure(points, EXAMPLE)
 
 
-def figure_app1(files: Sequence[Results]) -> Figure:
+def figure_app1(points: Points | None = None) -> Figure:
     """Return the single urn of the appendix, with its gate and its end wall."""
-    return _figure(files, URN)
+    return _figure(points, URN)
 
 
 @style.settings()
-def _figure(files: Sequence[Results], circuit: Circuit) -> Figure:
+def _figure(points: Points | None, circuit: Circuit) -> Figure:
     snapshot = None
-    if files:
-        circuit, full = files[0].any_circuit(0), files[0].snapshot(0, 0, 0)
+    if points is not None:
+        circuit, full = points.any_circuit(0), points.snapshot(*points.task(None, None), 0)
         step = max(full.x.size // SHOWN, 1)
         parts = (part[::step] for part in (full.x, full.y, full.ux, full.uy))
         snapshot = Snapshot(full.time, *parts)

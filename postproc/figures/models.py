@@ -8,40 +8,45 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from postproc.cli import InputError
 from postproc.progress import each
-from postproc.theory.models import FEW, MODELS, defaults
+from postproc.theory.models import FEW, MODELS, defaults, named
 
 if TYPE_CHECKING:
     import argparse
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Sequence
 
     from numpy.typing import NDArray
 
-    from postproc.reading.results import Results
+    from postproc.reading.points import Points
     from postproc.theory.circuit import Circuit
     from postproc.theory.model import Model
 
     Floats = NDArray[np.float64]
 
 
-def named(names: Iterable[str]) -> tuple[Model, ...]:
-    """Return models by their names, in that order."""
-    return tuple(MODELS[name] for name in names)
-
-
-def default(files: Sequence[Results]) -> tuple[Model, ...]:
-    """Return the theories to draw beside files where none is named, `theory.models.defaults`.
+def default(points: Points) -> tuple[Model, ...]:
+    """Return the theories to draw beside points where none is named, `theory.models.defaults`.
 
     None if there are discs in channel 2, which no theory has.
     """
-    if any(one.scatterers for one in files):
-        return ()
-    return defaults(one.any_circuit(point) for one in files for point in range(one.points))
+    return () if points.scatterers else defaults(points.circuits())
+
+
+def asked(points: Points, names: Sequence[str]) -> tuple[Model, ...]:
+    """Return theories by their names; raise `InputError` if one does not apply to all points."""
+    circuits = points.circuits() if names else []
+    for point in range(len(circuits)):
+        if points.beyond_theory(point):
+            what = circuits[point].unlike or "discs in channel 2"
+            raise InputError(f"{points.files}: no theory is drawn beside {what}, at point {point}")
+    return named(names, circuits)
 
 
 def add_models(options: argparse.ArgumentParser) -> None:
-    """Add `--model NAME ...`, the theories to draw."""
+    """Add `--theory NAME ...`, the theories to draw."""
     options.add_argument(
+        "--theory",
         "--model",
         metavar="NAME",
         nargs="+",

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from numpy.typing import NDArray
 
-    from postproc.reading.results import Results
+    from postproc.reading.points import Points
     from postproc.theory.circuit import Circuit
     from postproc.theory.model import Model
 
@@ -78,31 +78,36 @@ class Plane:
         return replace(self.circuit, **dict(zip(self.keys, (x, y), strict=True)))
 
 
-def plane_of(results: Results) -> Plane:
-    """Return the plane of a file; raise `InputError` if its scan is not one."""
-    results.need_tasks()
-    first = results.circuit(0)
-    columns = {key: results.value(key) for key in KEYS}
-    columns["urn_radius"] = columns["urn_radius"][:, 0]
-    varying = [key for key, column in columns.items() if np.unique(column).size > 1]
-    others = [results.value(key) for key in ("number", "urn1_number", "channel2_width")]
-    if len(varying) != 2 or any(np.unique(column).size > 1 for column in others):
+def planes_of(points: Points) -> list[Plane]:
+    """Return the planes of points, one for each other key; an error if there is none."""
+    points.need_tasks()
+    names = [name for name in points.keys if name in KEYS]
+    if len(names) > 2:
+        raise InputError("figure one_channel: more than two of l, w, r and T vary: select")
+    others = [name for name in points.keys if name not in KEYS]
+    return [_plane(part, names) for _, part in points.groups(*others)]
+
+
+def _plane(points: Points, names: list[str]) -> Plane:
+    columns = {key: points.value(key) for key in KEYS}
+    varying = [key for key in KEYS if key in names]
+    first = points.circuit(0)
+    if len(varying) != 2:
         raise InputError(
-            f"{results.path}: figure one_channel needs a scan over two of l, w, r and T; here "
+            f"{points.files}: figure one_channel needs a scan over two of l, w, r and T; here "
             f"{' '.join(varying) or 'none of them'} varies"
         )
     if float(first.channel2_width) > 0.0:
-        raise InputError(f"{results.path}: figure one_channel needs channel2_width = 0")
-    for point in range(results.points):
-        results.circuit(point)  # both urns and gates are alike
+        raise InputError(f"{points.files}: figure one_channel needs channel2_width = 0")
+    for point in range(len(points)):
+        points.circuit(point)  # both urns and gates are alike
     (x, at_x), (y, at_y) = (np.unique(columns[key], return_inverse=True) for key in varying)
     maps = []
-    for values in results.replica_mean("chi"):
+    for values in (points.chi, points.chi_error):
         filled = np.full((y.size, x.size), math.nan)
         filled[at_y, at_x] = values
         maps.append(filled)
-    number, urn1 = (float(column[0]) for column in others[:2])
-    return Plane(first, tuple(varying), x, y, *maps, abs(2.0 * urn1 - number) / number)
+    return Plane(first, (varying[0], varying[1]), x, y, *maps, float(points.start[0]))
 
 
 def relative_load(circuit: Circuit) -> Floats:
@@ -238,10 +243,11 @@ def _cell(loads: Floats, measured: Floats, name: str) -> str:
 
 
 @style.settings()
-def figure_one_channel(files: Sequence[Results], models: Sequence[Model] = PAIR) -> Figure:
+def figure_one_channel(points: Points | Sequence[Points], models: Sequence[Model] = PAIR) -> Figure:
     """Return a map for each plane, and below chi at one T against N w l/(8 T A)."""
+    given = points if isinstance(points, (list, tuple)) else [points]
     planes = sorted(
-        (plane_of(results) for results in files),
+        (plane for part in given for plane in planes_of(part)),
         key=lambda one: (one.circuit.number, *(list(KEYS).index(key) for key in one.keys)),
     )
     print(table(planes, models))

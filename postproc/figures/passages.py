@@ -20,15 +20,15 @@ from scipy import stats
 from postproc.cli import InputError
 from postproc.figures import style
 from postproc.figures.models import default
-from postproc.reading.points import gather
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from matplotlib.axes import Axes
+    from matplotlib.container import ErrorbarContainer
     from matplotlib.figure import Figure
 
-    from postproc.reading.results import Results, Series
+    from postproc.reading.points import Points, Series
     from postproc.theory.circuit import Circuit
     from postproc.theory.model import Model
 
@@ -102,21 +102,19 @@ def first_passage(series: Series, number: int, barrier: float, below: bool) -> t
     return float(series.time[passed[0]]), True
 
 
-def measured(files: Sequence[Results]) -> list[Lifetime]:
+def measured(points: Points) -> list[Lifetime]:
     """Return the lifetimes at all points, by the first passages of their replicas.
 
-    Runs of one circuit and one start in several files are combined.
+    Runs of one circuit and one kind of start are combined.
     """
-    points = gather(files)
     passages: dict[tuple[Circuit, bool], list[tuple[float, bool]]] = {}
-    for at in range(points.number.size):
-        results, point = files[points.file[at]], int(points.point[at])
+    for at in range(len(points)):
         polarised = bool(points.start[at] > MIDDLE)
         number, level = int(points.number[at]), LOW if polarised else HIGH
-        found = passages.setdefault((results.circuit(point), polarised), [])
+        found = passages.setdefault((points.circuit(at), polarised), [])
         found += [
-            first_passage(results.series(point, int(replica)), number, level, polarised)
-            for replica in np.flatnonzero(results.done[point])
+            first_passage(points.series(at, int(replica)), number, level, polarised)
+            for replica in np.flatnonzero(points.done[at])
         ]
     lifetimes = []
     for (circuit, polarised), found in passages.items():
@@ -146,12 +144,12 @@ def table(found: Sequence[Lifetime], models: Sequence[Model]) -> str:
 
 
 @style.settings()
-def figure_lifetimes(files: Sequence[Results], models: Sequence[Model] = ()) -> Figure:
+def figure_lifetimes(points: Points, models: Sequence[Model] = ()) -> Figure:
     """Return lifetimes against N, a panel for each T and l: marks measured, lines the chains."""
-    found = measured(files)
+    found = measured(points)
     if not found:
         raise InputError("figure lifetimes: no run is complete")
-    models = models or default(files)
+    models = models or default(points)
     print(table(found, models))
     panels: dict[tuple[int, float], list[Lifetime]] = {}
     for one in found:
@@ -160,19 +158,18 @@ def figure_lifetimes(files: Sequence[Results], models: Sequence[Model] = ()) -> 
     made = style.figure(max(2.6 * len(panels), 4.6), 3.7)
     axes = made.subplots(1, len(panels), squeeze=False, sharey=True)[0]
     for one, (key, group) in zip(axes, sorted(panels.items()), strict=True):
-        _draw_panel(one, group, models)
+        draw_lifetimes(one, group, models)
         one.set_title(f"$T = {key[0]}$, $l = {key[1]:g}$")
-        one.set_xlabel("$N$")
-        one.xaxis.set_major_locator(MaxNLocator(4, steps=(1, 2, 5, 10)))
-    axes[0].set_yscale("log")
-    axes[0].set_ylim(*DRAWN)
-    axes[0].set_ylabel("lifetime  (length / $v$)")
-    _explain(axes[0], models)
+        one.label_outer()
     style.legend_above(made, *axes[0].get_legend_handles_labels(), 3)
     return made
 
 
-def _draw_panel(axes: Axes, group: Sequence[Lifetime], models: Sequence[Model]) -> None:
+def draw_lifetimes(
+    axes: Axes, group: Sequence[Lifetime], models: Sequence[Model]
+) -> list[ErrorbarContainer]:
+    """Draw lifetimes of one T and l against N; return what was measured."""
+    drawn = []
     for polarised, mark, colour in ((False, "s", style.BLUE), (True, "o", style.VERMILION)):
         part = sorted((one for one in group if one.polarised == polarised), key=_by_number)
         if not part:
@@ -180,14 +177,14 @@ def _draw_panel(axes: Axes, group: Sequence[Lifetime], models: Sequence[Model]) 
             continue
         left = [one for one in part if one.passages]
         stayed = [one for one in part if not one.passages]
-        axes.errorbar(
+        drawn.append(axes.errorbar(
             [one.number for one in left],
             [one.time for one in left],
             np.abs([[one.time - one.low, one.high - one.time] for one in left]).reshape(-1, 2).T,
             fmt=mark,
             color=colour,
             zorder=3,
-        )
+        ))  # fmt: skip
         axes.plot(
             [one.number for one in stayed], [one.time for one in stayed], "^", color=colour, mfc="w"
         )
@@ -197,6 +194,12 @@ def _draw_panel(axes: Axes, group: Sequence[Lifetime], models: Sequence[Model]) 
             times = [one.of_chain(model) for one in line]
             numbers = [one.number for one in line]
             axes.plot(numbers, times, color=colour, ls=model.dashes, lw=0.9)
+    least = min(one.time for one in group)
+    axes.set(xlabel="$N$", yscale="log", ylabel="lifetime  (length / $v$)")
+    axes.set_ylim(min(DRAWN[0], 0.5 * least) or DRAWN[0], DRAWN[1])
+    axes.xaxis.set_major_locator(MaxNLocator(4, steps=(1, 2, 5, 10)))
+    _explain(axes, models)
+    return drawn
 
 
 def _draw_unmeasured(

@@ -14,10 +14,11 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from matplotlib.axes import Axes
+    from matplotlib.collections import PathCollection
     from matplotlib.figure import Figure
     from numpy.typing import ArrayLike, NDArray
 
-    from postproc.reading.results import Snapshot
+    from postproc.reading.points import Points, Snapshot
     from postproc.theory.circuit import Circuit
 
 GATE_TINT = "#E8E8E8"
@@ -152,14 +153,17 @@ def _colours(circuit: Circuit, snapshot: Snapshot) -> tuple[NDArray[np.str_], ND
     return np.where((counted > 0) & (counted == next_one), style.VERMILION, colour), counted > 0
 
 
-def draw_particles(axes: Axes, circuit: Circuit, snapshot: Snapshot, size: float = 3.0) -> None:
-    """Draw the particles as dots, the counted ones larger and ringed."""
+def draw_particles(
+    axes: Axes, circuit: Circuit, snapshot: Snapshot, size: float = 3.0
+) -> list[PathCollection]:
+    """Draw the particles as dots, the counted ones larger and ringed; return both."""
     colour, counted = _colours(circuit, snapshot)
     x, y = snapshot.x, snapshot.y
-    axes.scatter(x[~counted], y[~counted], s=size, c=colour[~counted], lw=0, zorder=3)
-    axes.scatter(
+    free = axes.scatter(x[~counted], y[~counted], s=size, c=colour[~counted], lw=0, zorder=3)
+    ringed = axes.scatter(
         x[counted], y[counted], s=4 * size, c=colour[counted], ec=style.BLACK, lw=0.4, zorder=4
     )
+    return [free, ringed]
 
 
 def _draw_channel(axes: Axes, circuit: Circuit, snapshot: Snapshot) -> None:
@@ -211,9 +215,14 @@ def _legend(made: Figure, circuit: Circuit) -> None:
     made.legend(handles=handles, loc="outside lower center", ncols=4, handletextpad=0.2)
 
 
+def figure_scene(points: Points, task: tuple[int, int], snapshot: int = -1) -> Figure:
+    """Return the picture of a snapshot of a task: the whole table, and channel 1 enlarged."""
+    return picture_of(points.any_circuit(task[0]), points.snapshot(*task, snapshot))
+
+
 @style.settings()
-def figure_scene(circuit: Circuit, snapshot: Snapshot) -> Figure:
-    """Return the picture of a snapshot: the whole table, and channel 1 enlarged."""
+def picture_of(circuit: Circuit, snapshot: Snapshot) -> Figure:
+    """Return the picture of a snapshot of a circuit."""
     made = style.figure(style.PAGE, 4.6)
     whole, channel = made.subplots(2, 1, height_ratios=(1.35, 1.0))
     draw_table(whole, circuit)

@@ -1,43 +1,45 @@
-"""Results as a dataset of xarray on the grid of the scan, with theories if requested."""
+"""Results as datasets of xarray on the grid of the scan, of one file or several."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterable
+from itertools import chain
+from pathlib import Path
 from typing import TYPE_CHECKING
 
+import f90nml
 import numpy as np
+import pandas as pd
 import xarray as xr
 
 from postproc.cli import InputError, path_of
-from postproc.reading.results import COMPLETE, NOT_ASKED, Results
-from postproc.theory.models import MODELS, defaults, describe
+from postproc.reading.file import ResultsFile
+from postproc.reading.points import COMPLETE, NOT_ASKED, PARAMETERS, Points, flat, mean_error
+from postproc.theory.models import MODELS, defaults, named
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
-    from pathlib import Path
 
     from numpy.typing import NDArray
 
     from postproc.theory.circuit import Circuit
 
-    Axes = dict[str, tuple[NDArray[np.generic], dict[str, str]]]
+    Axes = dict[str, tuple[NDArray[np.generic], dict[str, object]]]
 
 GROUPS = ("series", "snapshots", "final", "events")
-# Parameters of a point, scanned or not.
-PARAMETERS = (
-    "number", "threshold", "gate_threshold", "urn1_number", "urn_radius",
-    "channel1_width", "channel1_length", "channel2_width", "channel2_length",
-)  # fmt: skip
-STATES = {"stable": 1.0, "unstable": 0.0}
+SIDES = {"gate_threshold": ("gate", "threshold"), "urn_radius": ("urn", "urn_radius")}
+TABLE = ("shape", "urn_shape", "urn_sides", "urn_vertices", "urn2_vertices", "scatterers")
+UNSAID = {"created", "files", "namelist", "status", "tasks", "mpi_ranks", "scan", "differs"}
+STABLE = {"stable": 1.0, "unstable": 0.0}
 THEORY = {
-    "theory_chi": ("1", "mass spread of the most polarised stable state"),
-    "theory_polarised_current": ("1/time", "net current of that state, from the fuller urn"),
-    "theory_homogeneous_stable": ("1", "whether the homogeneous state is stable"),
+    "theory_chi": ("", "mass spread by theory"),
+    "theory_polarised_current": ("1/time", "polarised current by theory"),
+    "theory_polarised_current_error": ("1/time", "polarised current by theory, standard error"),
+    "theory_homogeneous_stable": ("", "whether the homogeneous state is stable by theory"),
     "theory_transition_width": ("length", "width w' of channel 2 on the transition line"),
-    "theory_polarised_current_error": ("1/time", "net current by theory, standard error"),
 }
-URN_THEORY = {"theory_current1": ("1/time", "hits on the end wall")}
+URN_THEORY = {"theory_current1": ("1/time", "hits on the end wall by theory")}
 
 
 def open_results(
@@ -50,67 +52,255 @@ def open_results(
     """Return a results file as a dataset on the grid of its scan.
 
     Every key that was scanned is a dimension with its values as coordinates, in the order of the
-    scan, and `replica` comes after them. What was not scanned is a coordinate without a dimension.
-    What belongs to tasks that are not complete is NaN. All is in memory, and the file is closed.
+    scan, and `replica` comes after them. What was not scanned has no dimension. What belongs to
+    tasks that are not complete is NaN. All is in memory, and the file is closed.
 
     Parameters
     ----------
     file : the results file.
-    theory : the name of a model ("window" is the paper's, see `postproc.theory.models`): variables
-        `theory_...` have its results; several models become a dimension `theory`. True: the paper's
-        beside memory ("direction"), which takes two seconds a point; beyond 12 points and for
-        polygons beside the exact gate ("renewal"); none if there are discs in channel 2, which no
-        theory has. Currents are those of runs as old as the file's.
-    group : what to read in place of the averages: "series", "snapshots", "final" or "events".
+    theory : the name of a theory, "window" (the paper's), "renewal" or "direction": variables
+        `theory_...` have its results at the age of the runs, those of the stable state that its
+        drift reaches from their start; several theories become a dimension `theory`. True: the
+        paper's beside memory ("direction"), which takes two seconds a point; beyond 12 points and
+        for polygons beside the exact gate ("renewal"); none if there are discs in channel 2, which
+        no theory has.
+    group : what to read in place of the averages: "series", "snapshots", "final" or "events". A
+        dataset has them as `data.series`, ... as well.
     verify : whether to read the whole file and check its digest, which detects any damage.
 
     Returns
     -------
     xarray.Dataset
-        Variables have `units` and `long_name`. Attributes are those of the file (`namelist`,
-        `version`, `status` ...) and `tasks`, how many of how many are complete. A file of before
-        the program wrote the grid has the dimension `point`, with what it is as coordinates.
+        Variables have `long_name` and `units`, unless they are dimensionless, and some a `comment`.
+        Attributes are those of the file (`namelist`, `version`, `status` ...), `tasks`, how many of
+        how many are complete, and `files`. A file of before the program wrote the grid has the
+        dimension `point`.
 
     Raises
     ------
-    ValueError
-        One line: the file is not there, damaged, of another version, or not of this program;
-        there is no such model or group; the model is not for this table.
+    InputError
+        A `ValueError` of one line: the file is not there, damaged, of another version, or not of
+        this program; there is no such theory or group; the theory is not for this table.
     """
-    models = [theory] if isinstance(theory, str) or not isinstance(theory, Iterable) else [*theory]
-    if isinstance(theory, bool):
-        models = []
-    for model in models:
-        if not (isinstance(model, str) and model in MODELS):
-            raise InputError(f"there is no theory {model!r}; there are {', '.join(MODELS)}")
+    models = _names(theory)
     if not (group is None or (isinstance(group, str) and group in GROUPS)):
         raise InputError(f"there is no group {group!r}; there are {', '.join(GROUPS)}")
     path = path_of(file, "file")
-    with Results(path, verify=verify) as results:
-        if group is not None and not results.has(group):
+    with ResultsFile(path, verify=verify) as opened, opened.told():
+        if group is not None and not opened.has(group):
             raise InputError(f"{path}: has no {group}")
-        axes = results.axes()
-        if theory is True and not results.scatterers:
-            circuits = map(results.any_circuit, range(results.points))
-            models = [one.name for one in defaults(circuits)]
-        added = _theory(results, models) if models and group is None else {}
-        data = results.dataset()
-        inner = results.dataset(group) if group is not None else None
+        axes, data, attributes = opened.axes(), opened.dataset(), opened.attributes
+        inner = opened.dataset(group) if group is not None else None
+        if "task_status" not in data:  # of before version 0.2.0
+            data["task_status"] = xr.where(np.isfinite(data["current1"]), COMPLETE, 2)
         known = data["task_status"] == COMPLETE
         asked = int((data["task_status"] != NOT_ASKED).sum())
-        points = data[[name for name in PARAMETERS if name in data]]
-        if inner is None:
-            data = data.drop_vars(list(points.data_vars)).assign(added)
-        else:
-            data = inner.assign_coords(replica=data["replica"])
-            points = points.drop_vars(list(data.variables), errors="ignore")
-        data = data.map(lambda one: _masked(one, known)).assign_coords(points.data_vars)
-        data = _on_grid(_with_second_radius(data, axes), axes)
-        data.attrs = dict(results.attributes)
-    if isinstance(theory, str) and "theory" in data.dims:
-        data = data.isel(theory=0)
-    data.attrs["tasks"] = f"{int(known.sum())} of {asked} tasks are complete"
+        data = _with_sides(data, attributes)
+        if inner is not None:
+            points = data[[name for name in PARAMETERS if name in data and name not in inner]]
+            data = inner.assign_coords(replica=known["replica"]).assign(points.variables)
+        data = data.map(lambda one: _masked(one, known), keep_attrs=True)
+        place = np.arange(known.size).reshape(known.shape)
+        about = {"long_name": "place of the task in its file, from 0"}
+        data["task"] = xr.Variable(("point", "replica"), place, about)
+        data = _on_grid(data, axes)
+    data.attrs = {**attributes, "files": [str(path.absolute())],
+                  "tasks": f"{int(known.sum())} of {asked} tasks are complete"}  # fmt: skip
+    return with_theory(data, theory) if group is None and (models or theory is True) else data
+
+
+def with_theory(data: xr.Dataset, theory: str | Sequence[str] | bool) -> xr.Dataset:
+    """Return results with those of theories beside them, as `open_results`."""
+    points, models = Points(data), _names(theory)
+    circuits = points.circuits()
+    if theory is True and not points.scatterers:
+        models = [one.name for one in defaults(circuits)]
+    if not models:
+        return data
+    named(models, circuits)
+    urn = points.shape == "urn"
+    meanings = URN_THEORY if urn else THEORY
+    starts = points.number - points.value("urn1_number")
+    known: dict[tuple[object, ...], list[float]] = {}
+    found = np.full((len(meanings), len(models), len(points)), math.nan)
+    for at, model in enumerate(models):
+        for point, circuit in enumerate(circuits):
+            case = circuit, model, starts[point]
+            if case not in known:
+                known[case] = _of_urn(*case) if urn else _of_circuit(*case)
+            found[:, at, point] = known[case]
+    axes = [name for name in data["task"].dims if name != "replica"]
+    sizes = [data.sizes[name] for name in axes]
+    added = {"theory": xr.Variable("theory", models)}
+    for (name, (unit, meaning)), values in zip(meanings.items(), found, strict=True):
+        if name.endswith("_error") and np.isnan(values).all():
+            continue
+        about = {"long_name": meaning, **({"units": unit} if unit else {})}
+        added[name] = xr.Variable(("theory", *axes), values.reshape(-1, *sizes), about)
+    data = data.assign(added)
+    return data.squeeze("theory", drop=True) if isinstance(theory, str) else data
+
+
+def _names(theory: str | Sequence[str] | bool) -> list[str]:
+    """Return the names of theories; raise `InputError` if there is no such theory."""
+    if isinstance(theory, bool):
+        return []
+    names = [theory] if isinstance(theory, str) or not isinstance(theory, Iterable) else [*theory]
+    named(names)
+    return names
+
+
+def _of_urn(circuit: Circuit, model: str, _: float) -> list[float]:
+    """Return a model's results for the single urn, in the order of `URN_THEORY`."""
+    return [float(MODELS[model].urn_current(circuit))]
+
+
+def _of_circuit(circuit: Circuit, model: str, number2: float) -> list[float]:
+    """Return a model's results for a circuit that starts with N2, in the order of `THEORY`."""
+    known = MODELS[model]
+    state = known.reached(circuit, number2)
+    values: list[float | None] = [None] * 3
+    if state is not None:
+        values = [state.mass_spread, state.net_current, state.net_current_error]
+    stable = STABLE.get(known.homogeneous_kind(circuit))
+    width = known.theory_of(circuit).transition_width(known.of(circuit))
+    return [math.nan if one is None else float(one) for one in (*values, stable, width)]
+
+
+def merge(parts: Iterable[str | Path | xr.Dataset]) -> xr.Dataset:
+    """Return several results as one dataset, replicas of the same point side by side.
+
+    Parameters
+    ----------
+    parts : results files, or datasets of `open_results`.
+
+    Returns
+    -------
+    xarray.Dataset
+        On the grid of the parameters that differ, or with the dimension `point` if the points are
+        not all combinations of these. `..._spread` is that of all replicas. A run that is in two
+        parts, by its seed, is in it once. The attribute `differs` says what else differs: keys of
+        the namelists, versions of the program.
+
+    Raises
+    ------
+    InputError
+        The tables differ in more than lengths: polygons, discs in channel 2, a single urn.
+    """
+    given = [dataset_of(one) for one in parts]
+    if not given:
+        raise InputError("merge: no results are given")
+    for name in TABLE:
+        if len(found := {str(one.attrs.get(name, "")) for one in given}) > 1:
+            raise InputError(f"merge: {name} differs: {', '.join(sorted(found))}")
+    table, keys = _tasks(given)
+    axes = _independent(table[keys])
+    if table[keys].drop_duplicates().shape[0] != math.prod(table[name].nunique() for name in axes):
+        table["point"], axes = table.groupby(keys).ngroup(), ["point"]
+    table["replica"] = table.groupby(keys).cumcount()
+    data = table.set_index([*axes, "replica"]).to_xarray()
+    data["task_status"] = data["task_status"].fillna(NOT_ASKED)
+    for name in keys:
+        if name not in axes:
+            data[name] = _without_idle(data[name].max("replica").variable, axes)
+    for key, one in chain.from_iterable(part.variables.items() for part in given):
+        if key in data and not data[key].attrs:
+            data[key].attrs = one.attrs
+    spreads = {str(key) for part in given for key in part if str(key).endswith("_spread")}
+    for name in sorted(spreads):
+        data[name] = mean_error(data[name.removesuffix("_spread")])["error"]
+    data.attrs = _attributes([one.attrs for one in given])
+    complete, asked = int((data["task_status"] == COMPLETE).sum()), len(table)
+    data.attrs |= {"files": [file for one in given for file in one.attrs["files"]],
+                   "tasks": f"{complete} of {asked} tasks are complete"}  # fmt: skip
     return data
+
+
+def _tasks(given: Sequence[xr.Dataset]) -> tuple[pd.DataFrame, list[str]]:
+    """Return all different tasks, a row each with its parameters, and the names of these."""
+    frames, files = [], 0
+    for one in given:
+        rows = flat(one)
+        kept = [name for name, values in rows.data_vars.items()
+                if set(values.dims) <= {"point", "replica"}
+                and not str(name).startswith("theory_")]  # fmt: skip
+        frame = rows[kept].to_dataframe().reset_index(drop=True)
+        frame["file"] = frame.get("file", 0) + files
+        frames.append(frame[frame["task_status"] != NOT_ASKED])
+        files += len(one.attrs["files"])
+    table = pd.concat(frames, ignore_index=True)
+    for second, first in (("threshold2", "threshold"), ("urn_radius2", "urn_radius")):
+        if second in table:
+            table[second] = table[second].fillna(table[first])
+    keys = [name for name in PARAMETERS if name in table]
+    return table.drop_duplicates([*keys, "seed"]), keys
+
+
+def dataset_of(
+    results: str | Path | xr.Dataset | Iterable[str | Path], *, verify: bool = False
+) -> xr.Dataset:
+    """Return a dataset of one results file, of several, or the dataset that is given."""
+    if isinstance(results, xr.Dataset):
+        return results
+    if isinstance(results, (str, Path)):
+        return open_results(results, verify=verify)
+    found = [open_results(str(one), verify=verify) for one in results]
+    return found[0] if len(found) == 1 else merge(found)
+
+
+def selected(data: xr.Dataset, values: dict[str, float]) -> xr.Dataset:
+    """Return the points with these values of keys; raise `InputError` if there are none."""
+    for key, value in values.items():
+        if key not in data.coords or data[key].dims != (key,):
+            keys = ", ".join(str(one) for one in data["task"].dims)
+            raise InputError(f"there is no scanned key {key} to select by; there are {keys}")
+        near = np.isclose(data[key], value, rtol=1e-9, atol=0.0)
+        if not near.any():
+            known = ", ".join(f"{one:g}" for one in data[key].values)
+            raise InputError(f"no point has {key} = {value:g}; there are {known}")
+        data = data.isel({key: int(np.flatnonzero(near)[0])})
+    return data
+
+
+def _independent(table: pd.DataFrame) -> list[str]:
+    """Return the parameters that vary, without those that others determine."""
+    chosen: list[str] = []
+    found = 1
+    for name in table:
+        if (count := len(table[[*chosen, name]].drop_duplicates())) > found:
+            chosen, found = [*chosen, str(name)], count
+    return chosen
+
+
+def _attributes(given: Sequence[dict[str, object]]) -> dict[str, object]:
+    """Return the attributes that are the same in all, and what differs."""
+    first, *others = given
+    kept = {"namelist", "version"}
+    same = {name: value for name, value in first.items()
+            if name in kept or all(one.get(name) == value for one in others)}  # fmt: skip
+    told = {name: [one.get(name) for one in given] for name in first if name not in UNSAID}
+    groups = [f90nml.reads(str(one["namelist"])) for one in given]
+    for group in ("run", "initial"):
+        for key in sorted({key for one in groups for key in one.get(group, {})}):
+            told[f"&{group} {key}"] = [one.get(group, {}).get(key) for one in groups]
+    lines = [f"{name}: {', '.join(sorted({str(one) for one in values}))}"
+             for name, values in told.items() if len({str(one) for one in values}) > 1]  # fmt: skip
+    return {**same, "differs": "; ".join(lines)}
+
+
+def group_of(data: xr.Dataset, group: str) -> xr.Dataset:
+    """Return a group of the files of a dataset, of the same points and replicas."""
+    found = [open_results(file, group=group) for file in data.attrs["files"]]
+    if len(found) > 1:
+        raise InputError(f"{group}: open the merged files one by one, open_results(group=...)")
+    chosen = {name: data[name].values for name in found[0]["task"].dims if name in data.coords}
+    return found[0].sel(chosen)
+
+
+for _group in GROUPS:
+    xr.register_dataset_accessor(_group)(
+        type(_group, (), {"__new__": lambda _, data, group=_group: group_of(data, group)})
+    )
 
 
 def _masked(values: xr.DataArray, known: xr.DataArray) -> xr.DataArray:
@@ -121,13 +311,21 @@ def _masked(values: xr.DataArray, known: xr.DataArray) -> xr.DataArray:
     return values.where(known)
 
 
-def _with_second_radius(data: xr.Dataset, axes: Axes | None) -> xr.Dataset:
-    """Keep the radius of urn 2 where the dimension `urn_radius` is that of urn 1."""
-    if not axes or "urn_radius" not in axes or "urn" not in data["urn_radius"].dims:
-        return data
-    second = data["urn_radius"].isel(urn=1, drop=True)
-    attributes = {"units": "length", "long_name": "radius r of urn 2"}
-    return data.assign_coords(urn_radius2=(second.dims, second.data, attributes))
+def _with_sides(data: xr.Dataset, attributes: dict[str, object]) -> xr.Dataset:
+    """Return the parameters of urn 1 and its gate, and of urn 2 (`...2`) where they differ."""
+    urn = attributes.get("shape") == "urn"
+    for name, (side, one) in SIDES.items():
+        if name not in data or side not in data[name].dims:
+            continue
+        both = data[name]
+        first, second = (both.isel({side: at}, drop=True) for at in (0, 1))
+        data = data.drop_vars([name, side], errors="ignore")
+        if one == "urn_radius":
+            data[one] = first.assign_attrs(long_name="radius r of urn 1")
+        if not urn and bool((first != second).any()):
+            what = "threshold T of gate 2" if one == "threshold" else "radius r of urn 2"
+            data[f"{one}2"] = second.assign_attrs(long_name=what)
+    return data
 
 
 def _on_grid(data: xr.Dataset, axes: Axes | None) -> xr.Dataset:
@@ -135,87 +333,28 @@ def _on_grid(data: xr.Dataset, axes: Axes | None) -> xr.Dataset:
     if axes is None or "point" not in data.dims:
         return data
     shape = [len(values) for values, _ in axes.values()]
-    variables, coordinates = {}, {}
+    variables = {}
     for name, values in data.variables.items():
         if name == "point" or name in axes:
             continue
         grid = values
         if "point" in values.dims:
             rest = [one for one in values.dims if one != "point"]
-            columns = values.transpose("point", *rest)
-            columns = columns.data.reshape(shape + list(columns.shape[1:]))
-            grid = xr.Variable([*axes, *rest], columns, values.attrs)
-        if name in data.coords:
-            coordinates[name] = _without_idle(grid, axes)
-        else:
-            variables[name] = grid
-    for name, (values, attributes) in axes.items():
-        known = data[name].attrs if name in data else attributes
-        coordinates[name] = xr.Variable(name, values, known)
-    if "urn_radius" in axes and "urn_radius" in data:
-        coordinates |= _second_radius(data["urn_radius"], axes)
-    return xr.Dataset(variables, coordinates)
+            columns = values.transpose("point", *rest).data
+            grid = xr.Variable(
+                [*axes, *rest], columns.reshape(shape + list(columns.shape[1:])), values.attrs
+            )
+        variables[name] = _without_idle(grid, axes) if name in PARAMETERS else grid
+    for key, (places, about) in axes.items():
+        variables[key] = xr.Variable(key, places, data[key].attrs if key in data else about)
+    found = xr.Dataset(variables)
+    return found.set_coords([name for name in data.coords if name in found])
 
 
-def _second_radius(both: xr.DataArray, axes: Axes) -> dict[str, xr.Variable]:
-    """Return the radius of urn 2 where it was scanned in pairs with that of urn 1, else nothing."""
-    radius = both.transpose("point", ...).data
-    if radius.ndim == 1 or bool((radius[:, 0] == radius[:, -1]).all()):
-        return {}
-    column = radius[:, -1].reshape([len(values) for values, _ in axes.values()])
-    return {"urn_radius2": _without_idle(xr.Variable(list(axes), column, both.attrs), axes)}
-
-
-def _without_idle(values: xr.Variable, axes: Axes) -> xr.Variable:
+def _without_idle(values: xr.Variable, axes: Iterable[str]) -> xr.Variable:
     """Return values without the dimensions along which they do not change."""
     for axis in axes:
-        if axis not in values.dims:
-            continue
-        first = values.isel({axis: 0})
-        if bool((values == first).all()):
-            values = first
+        if axis in values.dims:
+            first = values.isel({axis: 0})
+            values = first if bool((values == first).all()) else values
     return values
-
-
-def _theory(results: Results, models: Sequence[str]) -> dict[str, xr.Variable]:
-    """Return the models' results at each point, by name, with dimensions (theory, point)."""
-    urn = results.shape == "urn"
-    meanings = URN_THEORY if urn else THEORY
-    mixed = [name for name, model in MODELS.items() if model.mixed]
-    if urn and not set(models) <= set(mixed):
-        raise InputError(f"{results.path}: of the shape 'urn' only {', '.join(mixed)} know")
-    found = np.full((len(meanings), len(models), results.points), math.nan)
-    known: dict[tuple[Circuit, str], list[float]] = {}
-    for at, model in enumerate(models):
-        for point in range(results.points):
-            case = results.any_circuit(point), model
-            if case not in known:
-                known[case] = _theory_values_of_urn(*case) if urn else _theory_values(*case)
-            found[:, at, point] = known[case]
-    added = {
-        name: xr.Variable(("theory", "point"), values, {"units": unit, "long_name": meaning})
-        for (name, (unit, meaning)), values in zip(meanings.items(), found, strict=True)
-        if not (name.endswith("_error") and np.isnan(values).all())
-    }
-    return {"theory": xr.Variable("theory", models), **added}
-
-
-def _theory_values_of_urn(circuit: Circuit, model: str) -> list[float]:
-    """Return a model's results for the single urn, in the order of `URN_THEORY`."""
-    return [float(MODELS[model].urn_current(circuit))]
-
-
-def _theory_values(circuit: Circuit, model: str) -> list[float]:
-    """Return a model's results for a circuit, in the order of `THEORY`."""
-    answer = describe(circuit, MODELS[model])
-    stable = [root for root in answer["roots"] if root["kind"] == "stable"]
-    none = {"mass_spread": 0.0, "net_current": 0.0}
-    best = max(stable, key=lambda root: root["mass_spread"], default=none)
-    values = [
-        best["mass_spread"],
-        best["net_current"],
-        STATES.get(answer["homogeneous"]),
-        answer["transition_width"],
-        best.get("net_current_error"),
-    ]
-    return [math.nan if value is None else value for value in values]

@@ -1,9 +1,8 @@
-"""Calls the commands of the package as `python -m postproc.NAME` does."""
+"""Calls the commands of the package as `battery-postproc NAME` does."""
 
 from __future__ import annotations
 
 import importlib
-import importlib.util
 from typing import TYPE_CHECKING
 
 from postproc import cli
@@ -13,10 +12,8 @@ if TYPE_CHECKING:
 
 
 def call(name: str, arguments: Sequence[str]) -> int:
-    """Run `postproc.NAME` with these arguments; return its exit code."""
-    found = importlib.util.find_spec(f"postproc.{name}")
-    inner = ".__main__" if found.submodule_search_locations else ""
+    """Run a command with these arguments; return its exit code."""
     try:
-        return cli.run(importlib.import_module(f"postproc.{name}{inner}").main, arguments)
+        return cli.run(importlib.import_module(f"postproc.commands.{name}").main, arguments)
     except SystemExit as stop:
         return int(stop.code or 0)

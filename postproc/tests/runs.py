@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING
 import h5py
 import numpy as np
 
+from postproc.reading.grid import dataset_of
+from postproc.reading.points import Points
 from postproc.reading.seal import seal_of
 from postproc.running import run
 
@@ -34,6 +36,11 @@ def results_of(path: Path, **groups: dict[str, object]) -> Path:
     given = {name: {**CASE.get(name, {}), **groups.get(name, {})} for name in {**CASE, **groups}}
     given["output"]["file"] = path.name
     return run(given, folder=path.parent, quiet=True)
+
+
+def points_of(*paths: Path) -> Points:
+    """Return the points of one results file, or of several."""
+    return Points(dataset_of(paths))
 
 
 @contextmanager

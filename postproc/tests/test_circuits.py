@@ -10,10 +10,10 @@ import pytest
 from matplotlib.figure import Figure
 
 from postproc import Circuit, InputError, circuits
-from postproc.reading import table
+from postproc.reading import points, residences
 
 
-@pytest.mark.parametrize("module", [circuits, table])
+@pytest.mark.parametrize("module", [circuits, points, residences])
 def test_examples_print_what_they_say(module: Any) -> None:
     found = doctest.testmod(module)
     assert found.attempted > 0

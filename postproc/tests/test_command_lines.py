@@ -9,24 +9,19 @@ from pathlib import Path
 
 import pytest
 
+from postproc.__main__ import COMMANDS
+from postproc.commands.plot import FIGURES
 from postproc.tests.commands import call
 from postproc.tests.runs import BARE, leave_out, results_of
 
-READERS = [["currents"], ["scene"], ["report"]]
-READERS += [["figures", name] for name in ("numris", "comp05", "app2", "lifetimes")]
+READERS = [["report"], *(["plot", name] for name in ("numris", "comp05", "app2", "scene"))]
 ROOT = Path(__file__).resolve().parents[2]
-MODULES = [
-    ".".join(path.relative_to(ROOT / "postproc").with_suffix("").parts).removesuffix(".__main__")
-    for path in sorted((ROOT / "postproc").rglob("*.py"))
-    if '\nif __name__ == "__main__":' in path.read_text(encoding="utf-8")
-]
-COMMANDS = [name for name in MODULES if name != "__main__"]
 
 
 @pytest.mark.parametrize("name", COMMANDS)
 def test_every_command_explains_itself(name: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert call(name, ["--help"]) == 0
-    assert f"python -m postproc.{name} [-h]" in " ".join(capsys.readouterr().out.split())
+    assert f"python -m postproc {name} [-h]" in " ".join(capsys.readouterr().out.split())
 
 
 @pytest.fixture(scope="module")
@@ -63,7 +58,7 @@ def test_no_whole_file(
 @pytest.mark.parametrize(
     ("words", "written"),
     [
-        (["scene", "run.html"], "scene.png"),
+        (["plot", "scene", "run.html"], "run_scene.png"),
         (["report", "run.html"], "run.html"),
     ],
 )
@@ -97,12 +92,10 @@ ODD: dict[str, dict[str, dict[str, object]]] = {
     "map": {"scan": {"threshold": [1, 2], "channel2_width": [0.01, 0.05]}},
     "bare": {"output": BARE},
 }
-WINDOW = "--model=window"  # of the theories of a figure's own choice one takes seconds
-QUICK = [(["scene"], "one"), (["figures", "comp01"], "one")]
-QUICK += [(["figures", WINDOW, "lifetimes"], "map")]
-SLOW = [["scene"], ["currents"], ["report"]]
-SLOW += [["figures", name] for name in ("numris", "comp01", "comp05", "comp06", "app1", "app2")]
-SLOW += [["figures", name] for name in ("lifetimes", "circuits", "model")]
+WINDOW = "--theory=window"  # of the theories of a figure's own choice one takes seconds
+QUICK = [(["plot", "scene"], "one"), (["plot", "comp01"], "one"), (["table"], "map")]
+QUICK += [(["plot", WINDOW, "lifetimes"], "map")]
+SLOW = [["report"], ["table"], *(["plot", name] for name in FIGURES)]
 
 
 @pytest.fixture(scope="module")
@@ -143,8 +136,8 @@ def test_unusual_results_have_an_answer(
 @pytest.mark.parametrize(
     "command",
     [
-        ["theory", "--model", "window"],
-        ["theory", "--model", "renewal"],
+        ["theory", "--theory", "window"],
+        ["theory", "--theory", "renewal"],
         ["lifetimes"],
         *(
             pytest.param(["advise", "--quantity", one], marks=pytest.mark.full)
@@ -167,7 +160,7 @@ def test_unusual_circuits_have_an_answer(
 def test_output_on_a_full_device(words: list[str]) -> None:
     with Path("/dev/full").open("w", encoding="utf-8") as full:
         ended = subprocess.run(
-            [sys.executable, "-m", "postproc.theory", *words],
+            [sys.executable, "-m", "postproc", "theory", *words],
             cwd=ROOT,
             stdout=full,
             stderr=subprocess.PIPE,

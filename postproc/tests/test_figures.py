@@ -3,23 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
 
 from postproc.figures import appendix, circuits, currents, maps, model, models, style
-from postproc.reading import points
-from postproc.reading.results import Results, opened
 from postproc.tests.commands import call
-from postproc.tests.runs import BARE, edited, leave_out, results_of
+from postproc.tests.runs import BARE, edited, leave_out, points_of, results_of
 from postproc.theory.circuit import Circuit, single_urn_current
 from postproc.theory.models import MODELS
 from postproc.theory.states import Theory
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
     from numpy.typing import NDArray
@@ -74,16 +71,16 @@ def test_a_figure_is_written(
     # Letters as outlines: a font is cut to its letters where files are written in test_pictures.
     monkeypatch.setitem(style.SETTINGS, "pdf.fonttype", 3)
     arguments = [name, *([str(folder / file)] if file else []), "--output", str(tmp_path)]
-    assert call("figures", arguments) == 0
-    written = [tmp_path / f"{name}.png", tmp_path / f"{name}.pdf"]
+    assert call("plot", arguments) == 0
+    stem = f"{Path(file).stem}_{name}" if file else name
+    written = [tmp_path / f"{stem}.png", tmp_path / f"{stem}.pdf"]
     assert capsys.readouterr().out.split() == [str(path) for path in written]
     assert [path.read_bytes()[:5] for path in written] == [b"\x89PNG\r", b"%PDF-"]
 
 
 def test_model_names_the_lengths_and_shows_particles_of_a_run(folder: Path) -> None:
-    for names, table in (((), model.EXAMPLE), (("time.h5",), Circuit(1000, 2))):
-        with opened([folder / name for name in names]) as files:
-            made = model.figure_model(files)
+    for given, table in ((None, model.EXAMPLE), (points_of(folder / "time.h5"), Circuit(1000, 2))):
+        made = model.figure_model(given)
         (axes,) = made.axes
         texts = [text.get_text() for text in axes.texts if text.get_text()]
         once = ["$r$", "$w$", "$w'$", "gate 1", "gate 2", "urn 1", "urn 2"]
@@ -94,12 +91,12 @@ def test_model_names_the_lengths_and_shows_particles_of_a_run(folder: Path) -> N
 
 
 def test_comp05_has_a_panel_a_threshold(folder: Path) -> None:
-    with opened([folder / "time.h5"]) as files:
-        made = circuits.figure_comp05(files, QUICK[:1])
-        means = [
-            {name: files[0].series(at, 0).flows[name].mean() for name in currents.FLOW_LOOK}
-            for at in range(3)
-        ]
+    files = points_of(folder / "time.h5")
+    made = circuits.figure_comp05(files, QUICK[:1])
+    means = [
+        {name: files.series(at, 0).flows[name].mean() for name in currents.FLOW_LOOK}
+        for at in range(3)
+    ]
     titles = [axes.get_title("left") for axes in made.axes]
     assert [title for title in titles if title] == ["(a)  $T = 2$", "(b)  $T = 7$", "(c)  $T = 18$"]
     assert labels_of(made)[-4:] == [label for _, _, label in currents.FLOW_LOOK.values()]
@@ -126,18 +123,21 @@ def test_an_axis_is_broken_where_nothing_lies_and_all_is_shown() -> None:
 
 
 def test_comp06_shows_chi_from_one_and_the_stable_states(folder: Path) -> None:
-    with opened([folder / "time.h5"]) as files:
-        made = circuits.figure_comp06(files, QUICK)
-        pairs = [(at, one) for at in range(3) for one in QUICK]
-        states = [one.stable_state(files[0].circuit(at)) for at, one in pairs]
-        series = files[0].series(1, 0)
+    files = points_of(folder / "time.h5")
+    made = circuits.figure_comp06(files, QUICK)
+    pairs = [(at, one) for at in range(3) for one in QUICK]
+    states = [one.reached(files.circuit(at), 0.0) for at, one in pairs]
+    series = [files.series(1, replica) for replica in (0, 1)]
     spread, current = made.axes
     assert spread.get_ylabel() == r"mass spread $\chi$"
     assert current.get_xlabel() == "time $t$  (length / $v$)"
     assert current.get_xlim() == (0.0, 1000.0)
     assert labels_of(made)[:3] == ["$T = 2$", "$T = 7$", "$T = 18$"]
     drawn = {line.get_label(): line.get_ydata() for line in spread.lines}
-    assert drawn["$T = 7$"] == pytest.approx(np.abs(1000.0 - 2.0 * series.urn1_number) / 1000.0)
+    both = [np.abs(1000.0 - 2.0 * one.urn1_number) / 1000.0 for one in series]
+    assert drawn["$T = 7$"] == pytest.approx(np.mean(both, axis=0))
+    band = spread.collections[1].get_paths()[0].vertices[1:101]
+    assert band[:, 1] == pytest.approx(np.mean(both, axis=0) - np.std(both, axis=0, ddof=1))
     expected = {state.mass_spread for state in states if state is not None}
     levels = {
         float(y[0])
@@ -150,43 +150,25 @@ def test_comp06_shows_chi_from_one_and_the_stable_states(folder: Path) -> None:
 
 
 def test_currents_of_a_homogeneous_state_scatter_about_zero(folder: Path) -> None:
-    with opened([folder / "time.h5"]) as files:
-        made = circuits.figure_comp06(files, QUICK[:1])
-        net = files[0].series(2, 0)
+    files = points_of(folder / "time.h5")
+    made = circuits.figure_comp06(files, QUICK[:1])
     current = made.axes[1]
-    full = [line for line in current.lines if line.get_color() == style.BLACK]
+    full = [line for line in current.lines
+            if line.get_color() == style.BLACK and len(line.get_xdata()) > 2]  # fmt: skip
     assert min(float(line.get_ydata().min()) for line in full) < 0.0
-    measured = (net.flows["flow2_12"] - net.flows["flow2_21"])[:50].mean()
+    flows = [files.series(2, replica).flows for replica in (0, 1)]
+    measured = np.mean([(one["flow2_12"] - one["flow2_21"])[:50] for one in flows])
     assert measured > 0.0  # from the urn that was full, urn 1
     drawn = max(full, key=lambda line: line.get_linewidth())
     early = drawn.get_xdata() < 500.0
     assert drawn.get_ydata()[early].mean() == pytest.approx(measured, abs=0.02)
 
 
-def test_net_currents_have_a_sign_unless_a_polarity_gives_them_one(folder: Path) -> None:
-    with edited(folder / "slices.h5") as file:
-        del file["polarised_current"], file["polarised_current_error"]  # as in older files
-        file["chi"][:4] = [[0.02, 0.03], [0.8, 0.9], [0.8, np.nan], [0.02, 0.02]]
-        file["current1"][:4] = [[0.2, -0.3], [1.0, -1.2], [-1.0, np.nan], [-0.1, -0.2]]
-        file["task_status"][2, 1] = 2
-    with Results(folder / "slices.h5") as results:
-        current, error = results.net_current()
-    assert current[:4] == pytest.approx([-0.05, 1.1, 1.0, -0.15])
-    assert np.all(error[[0, 1, 3]] > 0.0)  # the third has one replica, too short for an error
-    along = np.full((8, 2), 0.7)
-    with edited(folder / "slices.h5") as file:
-        file["polarised_current"] = along
-        file["polarised_current_error"] = 0.01 * along
-    with Results(folder / "slices.h5") as results:
-        current, _ = results.net_current()
-    assert current[:4] == pytest.approx([-0.05, 0.7, 0.7, -0.15])
-
-
 def test_comp01_has_the_measured_currents_against_threshold_and_chi(folder: Path) -> None:
     mixed = models.named(["window", "renewal"])
-    with opened([folder / "slices.h5"]) as files:
-        made = circuits.figure_comp01(files, mixed)
-        gathered = points.gather(files)
+    files = points_of(folder / "slices.h5")
+    made = circuits.figure_comp01(files, mixed)
+    gathered = files
     left, right = made.axes
     assert left.get_xlabel() == "$T/N$"
     assert left.get_ylabel() == "polarised current (per unit time)"
@@ -197,9 +179,9 @@ def test_comp01_has_the_measured_currents_against_threshold_and_chi(folder: Path
     for at, width in enumerate((0.0102, 0.0306)):
         group = gathered.where(gathered.channel2_width == width)
         assert marks_of(left)[at] == pytest.approx(
-            np.array([group.threshold / 1000.0, group.along])
+            np.array([group.threshold / 1000.0, group.current])
         )
-        assert marks_of(right)[at] == pytest.approx(np.array([group.chi, group.along]))
+        assert marks_of(right)[at] == pytest.approx(np.array([group.chi, group.current]))
         for one in mixed:
             circuit = replace(Circuit(1000, 4), channel2_width=width)
             spread, current = models.spread_and_current(one, circuit, range(4, 19))
@@ -211,12 +193,12 @@ def test_comp01_has_the_measured_currents_against_threshold_and_chi(folder: Path
 
 def test_numris_shows_each_point_and_the_transition_lines(folder: Path) -> None:
     mixed = models.named(["window", "renewal"])
-    with opened([folder / "homogeneous.h5", folder / "polarised.h5"]) as files:
-        made = maps.figure_numris(files, mixed)
-        parts = [part for _, part in maps.by_start(points.gather(files))]
-        lines = maps.transition_lines(parts[0], files[0].circuit(0), mixed)
+    files = points_of(folder / "homogeneous.h5", folder / "polarised.h5")
+    made = maps.figure_numris(files, mixed)
+    parts = [part for _, part in maps.by_start(files)]
+    lines = maps.transition_lines(parts[0], files.circuit(0), mixed)
     panels, bars = made.axes[:6], made.axes[6:]
-    values = [part.chi for part in parts], [part.along for part in parts]
+    values = [part.chi for part in parts], [part.current for part in parts]
     for column, (start, final) in enumerate(values):
         for row, drawn in enumerate((start, final, final - start)):
             axes = panels[2 * row + column]
@@ -243,18 +225,18 @@ def test_numris_shows_each_point_and_the_transition_lines(folder: Path) -> None:
 
 
 def test_unless_told_otherwise_memory_is_drawn_beside_the_papers_theory(folder: Path) -> None:
-    with opened([folder / "point.h5"]) as files:
-        slices = circuits.figure_comp01(files)
+    files = points_of(folder / "point.h5")
+    slices = circuits.figure_comp01(files)
     labels = [f"theory, {MODELS[name].label}" for name in ("window", "direction")]
     assert labels_of(slices)[1:] == labels
 
 
 def test_appendix_shows_measured_currents_beside_theory(folder: Path) -> None:
     drawings = (appendix.figure_app2, appendix.figure_app3, appendix.figure_app4)
-    with opened([folder / "urn.h5"]) as files:
-        by_number, relative, together = (draw(files) for draw in drawings)
-        gathered = points.gather(files)
-        circuits_ = [files[0].circuit(point) for point in gathered.point]
+    files = points_of(folder / "urn.h5")
+    by_number, relative, together = (draw(files) for draw in drawings)
+    gathered = files
+    circuits_ = [files.circuit(point) for point in range(len(files))]
     expected = np.array([float(single_urn_current(one)) for one in circuits_])
     groups = [
         (gathered.number == number) & (gathered.channel1_width == width)
@@ -288,7 +270,7 @@ def test_appendix_shows_measured_currents_beside_theory(folder: Path) -> None:
 
 
 def test_a_figure_without_its_file(capsys: pytest.CaptureFixture[str]) -> None:
-    assert call("figures", ["comp01"]) == 2
+    assert call("plot", ["comp01"]) == 2
     assert capsys.readouterr().err.count("\n") == 1
 
 
@@ -296,14 +278,13 @@ def test_a_figure_without_its_file(capsys: pytest.CaptureFixture[str]) -> None:
 def test_a_run_of_the_other_shape(
     name: str, file: str, folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert call("figures", [name, str(folder / file), "--output", str(tmp_path)]) == 2
+    assert call("plot", [name, str(folder / file), "--output", str(tmp_path)]) == 2
     assert capsys.readouterr().err.count("\n") == 1
     assert not list(tmp_path.iterdir())
 
 
 def test_points_of_several_files_stand_side_by_side(folder: Path) -> None:
-    with Results(folder / "homogeneous.h5") as one, Results(folder / "polarised.h5") as other:
-        gathered = points.gather([one, other])
+    gathered = points_of(folder / "homogeneous.h5", folder / "polarised.h5")
     assert gathered.number.size == 24
     assert [part.number.size for _, part in maps.by_start(gathered)] == [12, 12]
     assert np.count_nonzero(np.isnan(gathered.chi)) == 2
@@ -312,14 +293,14 @@ def test_points_of_several_files_stand_side_by_side(folder: Path) -> None:
 def test_where_the_polarity_reverses_currents_do_not_cancel(folder: Path) -> None:
     with edited(folder / "homogeneous.h5") as file:
         file["current1"][0], file["polarised_current"][0], file["chi"][0] = 0.0, 0.7, 0.1
-    with opened([folder / "homogeneous.h5"]) as files:
-        gathered = points.gather(files)
-    assert (gathered.current[0], gathered.along[0]) == (0.0, 0.7)
+    files = points_of(folder / "homogeneous.h5")
+    gathered = files
+    assert gathered.current[0] == 0.7
 
 
 def test_a_theory_without_a_transition_has_no_line(folder: Path) -> None:
-    with opened([folder / "point.h5"]) as files:
-        gathered, circuit = points.gather(files), files[0].circuit(0)
+    files = points_of(folder / "point.h5")
+    gathered, circuit = files, files.circuit(0)
     without = replace(MODELS["direction"], theory=Theory())
     (line,) = maps.transition_lines(gathered, circuit, [without, MODELS["window"]])
     assert line[3] == MODELS["window"].label
@@ -329,51 +310,54 @@ def test_a_theory_without_a_transition_has_no_line(folder: Path) -> None:
 def test_points_that_differ_in_more_than_a_figure_shows_are_refused(
     folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    scan = {"threshold": [2, 7], "channel1_length": [1.0, 2.0], "replicas": 1}
-    results_of(tmp_path / "long.h5", scan=scan, run={"duration": 20.0}, output=BARE)
+    scan = {"threshold": [2, 7], "channel2_width": [0.01, 0.02], "replicas": 1}
+    scan["channel1_length"] = [1.0, 2.0]
+    long = str(results_of(tmp_path / "long.h5", scan=scan, run={"duration": 20.0}, output=BARE))
     both = [str(folder / f"{name}.h5") for name in ("homogeneous", "polarised")]
-    for name, *given in (
-        ("numris", str(tmp_path / "long.h5")), ("comp01", str(tmp_path / "long.h5")),
-        ("numris", both[0], both[0]), ("comp01", *both),
-    ):  # fmt: skip
-        assert call("figures", [name, *given, "--model", "window"]) == 2, (name, given)
+    words = ["--theory", "window", "--output", str(tmp_path)]
+    for name, *given in (("numris", long), ("comp01", long), ("comp01", *both)):
+        assert call("plot", [name, *given, *words]) == 2, (name, given)
         assert capsys.readouterr().err.count("\n") == 1
+    for name in ("numris", "comp01"):
+        assert call("plot", [name, long, *words, "--select", "channel1_length=2"]) == 0
+    assert call("plot", ["numris", long, *words, "--select", "channel1_length=3"]) == 2
+    assert "there are 1, 2" in capsys.readouterr().err
 
 
 def test_each_start_has_its_maps_and_title(tmp_path: Path) -> None:
     scan = {"threshold": [2, 7], "urn1_fraction": [0.5, 0.6, 1.0], "replicas": 1}
     path = results_of(tmp_path / "starts.h5", scan=scan, run={"duration": 20.0}, output=BARE)
-    with opened([path]) as files:
-        made = maps.figure_numris(files, models.named(["window"]))
+    files = points_of(path)
+    made = maps.figure_numris(files, models.named(["window"]))
     titles = [axes.get_title("left") for axes in made.axes]
     assert titles[:6:2] == [rf"$\chi(0) = {chi}$" for chi in ("0", "0.2", "1")]
 
 
 def test_map_has_each_value_in_its_cell(folder: Path) -> None:
-    with Results(folder / "homogeneous.h5") as results:
-        gathered = points.gather([results])
+    results = points_of(folder / "homogeneous.h5")
+    gathered = results
     thresholds, widths, filled = maps.grid(gathered, gathered.threshold + gathered.channel2_width)
-    assert filled == pytest.approx(thresholds[None, :] + widths[:, None])
+    assert filled == pytest.approx(1000.0 * thresholds[None, :] + widths[:, None])
     assert maps.edges(np.array([1.0, 2.0, 4.0])) == pytest.approx([0.5, 1.5, 3.0, 5.0])
 
 
 @pytest.mark.usefixtures("unwritten")
 def test_theories_are_drawn_by_name(folder: Path, tmp_path: Path) -> None:
-    with opened([folder / "point.h5"]) as files:
-        made = circuits.figure_comp01(files, models.named(["renewal"]))
+    files = points_of(folder / "point.h5")
+    made = circuits.figure_comp01(files, models.named(["renewal"]))
     assert labels_of(made)[-1:] == ["theory, renewal gate"]
     arguments = [str(folder / "point.h5"), "--output", str(tmp_path)]
-    assert call("figures", ["comp01", *arguments, "--model", "window", "renewal"]) == 0
-    assert call("figures", ["comp01", *arguments, "--model", "guess"]) == 2
+    assert call("plot", ["comp01", *arguments, "--theory", "window", "renewal"]) == 0
+    assert call("plot", ["comp01", *arguments, "--theory", "guess"]) == 2
 
 
 @pytest.mark.usefixtures("unwritten")
 def test_single_urn_is_drawn_with_its_end_wall(tmp_path: Path) -> None:
-    (axes,) = model.figure_app1([]).axes
+    (axes,) = model.figure_app1().axes
     texts = [text.get_text() for text in axes.texts if text.get_text()]
     assert sorted(texts) == ["$\\ell/2$", "$r$", "$w$", "end wall", "gate 1", "urn 1"]
     assert (axes.collections[0].get_offsets()[:, 0] < 0.0).all()
-    assert call("figures", ["app1", "--output", str(tmp_path)]) == 0
+    assert call("plot", ["app1", "--output", str(tmp_path)]) == 0
 
 
 def test_relative_difference_leaves_out_vanishing_theory() -> None:

@@ -14,8 +14,8 @@ from selenium import webdriver
 
 from postproc import open_results
 from postproc.cli import EXIT_BAD_INPUT, InputError
-from postproc.reading import results
-from postproc.report import page as report_page
+from postproc.reading import file as reading
+from postproc.reporting import page as report_page
 from postproc.tests.commands import call
 from postproc.tests.runs import edited, results_of
 
@@ -126,7 +126,7 @@ def test_what_is_read_together_fits_into_memory(
                 del file[name]
         columns = file[group or "/"].values()
         sizes = [one.nbytes for one in columns if isinstance(one, h5py.Dataset)]
-    monkeypatch.setattr(results, "memory_left", lambda: max(sizes))
+    monkeypatch.setattr(reading, "memory_left", lambda: max(sizes))
     needs = re.escape(f"{theirs.name}: needs {sum(sizes):.3g} bytes of memory")
     with pytest.raises(InputError, match=needs):
         open_results(theirs, group=group)
@@ -151,7 +151,7 @@ def test_damage_is_an_error_or_not_noticed_and_verify_notices_all(
                 seen.append(str(problem))
         with pytest.raises(InputError, match=path.name):
             open_results(path, verify=True)
-        assert call("currents", [str(path), "--verify"]) == EXIT_BAD_INPUT
+        assert call("plot", ["flows", str(path), "--verify"]) == EXIT_BAD_INPUT
     assert len(seen) > 10
     assert all(path.name in one for one in seen)
 
@@ -196,7 +196,7 @@ def test_no_script_of_a_file_runs_in_its_page(
         pytest.skip("no chromium and chromium-driver here")
     pages = []
     for path in with_scripts(theirs):
-        code = call("report", [str(path), "--output", str(theirs.parent), "--model", "window"])
+        code = call("report", [str(path), "--output", str(theirs.parent), "--theory", "window"])
         assert code == 0 or path.stem.startswith("scan")
         pages += [path.with_suffix(".html")] if code == 0 else []
     # The policy alone: a template that has forgotten to escape.

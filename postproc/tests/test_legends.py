@@ -8,7 +8,8 @@ import pytest
 
 from postproc.figures import appendix, circuits, maps, one_channel, passages
 from postproc.figures.models import named
-from postproc.reading.results import opened
+from postproc.reading.grid import open_results
+from postproc.reading.points import Points
 from postproc.tests.looks import assert_looks_apart
 from postproc.tests.runs import BARE, results_of
 
@@ -21,6 +22,7 @@ DRAWN = {
     "comp05": (circuits.figure_comp05, "circuit", MIXED),
     "comp06": (circuits.figure_comp06, "circuit", MIXED),
     "comp01": (circuits.figure_comp01, "circuit", MIXED),
+    "characteristic": (circuits.figure_characteristic, "one_key", MIXED),
     "numris": (maps.figure_numris, "circuit", MIXED),
     "lifetimes": (passages.figure_lifetimes, "circuit", MIXED),
     "app2": (appendix.figure_app2, "urn", MIXED),
@@ -29,7 +31,7 @@ DRAWN = {
     "one_channel": (one_channel.figure_one_channel, "plane", one_channel.PAIR),
 }
 NARROWEST = {
-    "point": ("comp05", "comp06", "comp01", "numris", "lifetimes"),
+    "point": ("comp05", "comp06", "comp01", "characteristic", "numris", "lifetimes"),
     "urn_point": ("app2", "app3", "app4"),
     "plane": ("one_channel",),
 }
@@ -41,6 +43,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     scan = {"threshold": [4, 5], "replicas": 1}
     results_of(made / "circuit.h5", run=SHORT, scan={"channel2_width": [0.01, 0.03], **scan},
                output={"series_interval": 10.0})  # fmt: skip
+    results_of(made / "one_key.h5", run=SHORT, gate={"threshold": 4}, output=BARE,
+               scan={"threshold": None, "channel2_width": [0.01, 0.03], "replicas": 1})  # fmt: skip
     results_of(made / "urn.h5", table={"shape": "urn"}, particles={"number": None}, run=SHORT,
                scan={"number": [500, 1000], "channel1_width": [0.1, 0.3], **scan},
                output=BARE)  # fmt: skip
@@ -57,8 +61,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.parametrize("name", DRAWN)
 def test_no_two_entries_of_a_legend_look_alike(name: str, folder: Path) -> None:
     draw, file, models = DRAWN[name]
-    with opened([folder / f"{file}.h5"]) as files:
-        assert_looks_apart(draw(files, models))
+    assert_looks_apart(draw(Points(open_results(folder / f"{file}.h5")), models))
 
 
 @pytest.mark.parametrize(
@@ -68,8 +71,7 @@ def test_no_legend_is_cut_in_the_narrowest_form_of_a_figure(
     name: str, file: str, folder: Path
 ) -> None:
     draw, _, models = DRAWN[name]
-    with opened([folder / f"{file}.h5"]) as files:
-        made = draw(files, models)
+    made = draw(Points(open_results(folder / f"{file}.h5")), models)
     made.draw_without_rendering()
     for legend in made.legends:
         box = legend.get_window_extent()

@@ -11,7 +11,7 @@ import pytest
 from scipy import stats
 
 from postproc.figures.passages import first_passage
-from postproc.reading.results import Series
+from postproc.reading.points import Series
 from postproc.tests.commands import call
 from postproc.theory import chain
 from postproc.theory.circuit import Circuit, half2_number, held_in_channels, in_urn

@@ -13,7 +13,6 @@ import pytest
 
 from postproc.advice import advice
 from postproc.figures.models import add_models
-from postproc.report import data
 from postproc.tests.commands import call
 from postproc.theory.circuit import Circuit
 from postproc.theory.model import Model
@@ -22,7 +21,7 @@ from postproc.theory.outlines import regular
 
 ROOT = Path(__file__).resolve().parents[2]
 TWIN = replace(MODELS["renewal"], name="twin", label="the twin", colour="sky", adds_to="renewal")
-WORDS = ["--number", "1000", "--threshold", "7", "--model", "twin"]
+WORDS = ["--number", "1000", "--threshold", "7", "--theory", "twin"]
 SINGLE = Circuit(1000, 7, shape="urn", channel2_width=0.0)
 
 
@@ -43,7 +42,7 @@ def test_a_theory_that_is_added_to_the_list_is_known_everywhere(
     assert call("lifetimes", WORDS) == 0
     options = argparse.ArgumentParser()
     add_models(options)
-    assert options.parse_args(["--model", "twin"]).model == ["twin"]
+    assert options.parse_args(["--theory", "twin"]).theory == ["twin"]
     asked = []
     monkeypatch.setattr(
         advice, "theory_says", lambda _, model, *__: asked.append(model.name) or (math.nan, 0.0)
@@ -98,16 +97,25 @@ def test_the_default_theories_are_the_same_wherever_none_is_named(
         assert [one.name for one in defaults(circuits)] == ["window", better]
     for command in ("theory", "lifetimes"):
         printed = {}
-        for named in ([], ["--model", "window"], ["--model", "direction"]):
+        for named in ([], ["--theory", "window"], ["--theory", "direction"]):
             assert call(command, ["--number", "60", "--threshold", "2", *named]) == 0
             printed[" ".join(named)] = json.loads(capsys.readouterr().out)
-        paper, memory = printed["--model window"], printed["--model direction"]
+        paper, memory = printed["--theory window"], printed["--theory direction"]
         assert printed[""] == paper | {"direction": memory}
 
 
-def test_a_measured_point_is_held_against_the_theory_that_is_named() -> None:
-    """Of urns that remember it is not the balance of the same gates between mixed urns."""
-    circuit = Circuit(1000, 7)
-    assert data.expected_state(MODELS["direction"], circuit, 0.93)[0] == pytest.approx(
-        MODELS["direction"].solve_stable(circuit)[-1].mass_spread
-    )
+@pytest.mark.parametrize(
+    ("threshold", "number2", "reached"),
+    [(2, 500, 0.0), (2, 1000, 0.9), (7, 500, 0.93), (16, 0, 0.75)],
+)
+def test_a_theory_reaches_the_stable_state_of_its_own_drift(
+    threshold: int, number2: float, reached: float
+) -> None:
+    """From a start in the basin of one of two states, and from an unstable state."""
+    circuit, model = Circuit(1000, threshold, channel2_width=0.01), MODELS["window"]
+    state = model.reached(circuit, number2)
+    assert state.mass_spread == pytest.approx(reached, abs=0.1)
+    place = number2 + (1e-3 if model.homogeneous_kind(circuit) == "unstable" else 0.0)
+    for _ in range(20_000):
+        place += 20.0 * float(model.eta(circuit, place))
+    assert abs(place - 500.0) + 500.0 == pytest.approx(state.urn2_number, abs=0.5)

@@ -14,9 +14,8 @@ import pytest
 from postproc.cli import InputError
 from postproc.figures import models, one_channel
 from postproc.figures.one_channel import Plane
-from postproc.reading.results import Results, opened
 from postproc.tests.commands import call
-from postproc.tests.runs import BARE, results_of
+from postproc.tests.runs import BARE, points_of, results_of
 from postproc.theory.circuit import Circuit, flow1, homogeneous_kind
 
 NAMELISTS = Path(__file__).resolve().parents[2] / "namelists/one_channel"
@@ -135,10 +134,10 @@ def test_a_plane_without_a_transition_has_none() -> None:
 def test_the_figure_has_each_map_with_its_lines(
     folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    with opened([folder / f"{name}.h5" for name in NAMES]) as files:
-        made = one_channel.figure_one_channel(files)
-        planes = [one_channel.plane_of(results) for results in files]
-        chi = [results.replica_mean("chi")[0] for results in files]
+    files = [points_of(folder / f"{name}.h5") for name in NAMES]
+    made = one_channel.figure_one_channel(files)
+    planes = [plane for points in files for plane in one_channel.planes_of(points)]
+    chi = [points.chi for points in files]
     maps = [axes for axes in made.axes if axes.collections and axes.lines]
     symbols = [(axes.get_xlabel(), axes.get_ylabel()) for axes in maps]
     assert symbols == 2 * [("$l$", "$T$"), ("$w$", "$r$")]
@@ -177,17 +176,17 @@ def test_the_figure_has_each_map_with_its_lines(
     ("name", "words"), [("one_list", "two of l, w, r and T"), ("opened", "channel2_width = 0")]
 )
 def test_what_is_no_plane_of_the_model_is_refused(folder: Path, name: str, words: str) -> None:
-    with Results(folder / f"{name}.h5") as results, pytest.raises(InputError, match=words):
-        one_channel.plane_of(results)
+    with pytest.raises(InputError, match=words):
+        one_channel.planes_of(points_of(folder / f"{name}.h5"))
 
 
 def test_one_plane_is_drawn_by_the_command(
     folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     arguments = [str(folder / "thresholds_50.h5"), "--output", str(tmp_path)]
-    assert call("figures", ["one_channel", *arguments, "--model", "window"]) == 0
+    assert call("plot", ["one_channel", *arguments, "--theory", "window"]) == 0
     assert "start, window (the paper's)" in capsys.readouterr().out
-    assert (tmp_path / "one_channel.png").read_bytes().startswith(b"\x89PNG")
+    assert (tmp_path / "thresholds_50_one_channel.png").read_bytes().startswith(b"\x89PNG")
 
 
 def test_the_namelists_are_the_six_planes_at_the_published_size() -> None:

@@ -13,14 +13,15 @@ import h5py
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
+import xarray as xr
 from matplotlib.patches import Circle
 
 from postproc.cli import InputError
-from postproc.figures import currents, film, models, scene, style
-from postproc.figures.scene import figure_scene
-from postproc.reading.results import Results, Snapshot, mean_and_error
+from postproc.figures import circuits, currents, film, models, scene, style
+from postproc.figures.scene import picture_of
+from postproc.reading.points import Snapshot, mean_error
 from postproc.tests.commands import call
-from postproc.tests.runs import BARE, edited, leave_out, results_of
+from postproc.tests.runs import BARE, edited, leave_out, points_of, results_of
 from postproc.theory.circuit import Circuit, eta, flow1, flow2
 from postproc.theory.states import stationary_states
 
@@ -29,8 +30,8 @@ if TYPE_CHECKING:
 
 
 # the commands that read a file of results, with what comes before it
-READERS = [["currents"], ["scene"], ["film"], ["report"]]
-READERS += [["figures", name] for name in ("lifetimes", "numris")]
+READERS = [["table"], ["film"], ["report"]]
+READERS += [["plot", name] for name in ("flows", "scene", "lifetimes", "phase_diagram")]
 
 
 @pytest.fixture(scope="module")
@@ -39,24 +40,25 @@ def run_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return results_of(path, scan={"threshold": [7, 18]})
 
 
-@pytest.mark.parametrize("command", ["currents", "scene"])
+@pytest.mark.parametrize("command", ["flows", "scene"])
 def test_pictures_are_written(command: str, run_file: Path, tmp_path: Path) -> None:
     folder = tmp_path / "new" / "folder"
-    models = ["--model", "window", "renewal"] if command == "currents" else []
-    assert call(command, [str(run_file), *models, "--output", str(folder)]) == 0
-    assert sorted(path.name for path in folder.iterdir()) == [f"{command}.pdf", f"{command}.png"]
-    drawn, paper = ((folder / f"{command}.{kind}").read_bytes() for kind in ("png", "pdf"))
+    words = [command, str(run_file), "--point", "1", "--theory", "window", "renewal"]
+    assert call("plot", [*words, "--output", str(folder)]) == 0
+    name = f"run_{command}"
+    assert sorted(path.name for path in folder.iterdir()) == [f"{name}.pdf", f"{name}.png"]
+    drawn, paper = ((folder / f"{name}.{kind}").read_bytes() for kind in ("png", "pdf"))
     assert drawn[:5] == b"\x89PNG\r"
     assert paper[:5] == b"%PDF-"
     assert b"/FontFile2" in paper  # its text is text
     width = int.from_bytes(drawn[16:20], "big")
-    assert width == style.PAGE * style.RESOLUTION
+    assert width == round((style.PAGE if command == "scene" else 4.6) * style.RESOLUTION)
 
 
 def test_currents_show_the_series_the_theory_and_eta(run_file: Path) -> None:
-    with Results(run_file) as results:
-        made = currents.figure_currents(results, 0, 1, models.named(["window", "renewal"]))
-        series, circuit = results.series(0, 1), results.circuit(0)
+    results = points_of(run_file)
+    made = circuits.figure_comp05(results, models.named(["window", "renewal"]), (0, 1))
+    series, circuit = results.series(0, 1), results.circuit(0)
     *panels, balance = made.axes
     assert panels[0].get_title("left") == "$N = 1000$, $T = 7$, $w = 0.3$, $w' = 0.01$"
     assert panels[-1].get_xlabel() == "time $t$  (length / $v$)"
@@ -93,9 +95,9 @@ def test_currents_show_the_series_the_theory_and_eta(run_file: Path) -> None:
 
 
 def test_theory_has_the_colour_of_what_it_is_meant_for(run_file: Path) -> None:
-    with Results(run_file) as results:
-        made = currents.figure_currents(results, 0, 1, models.named(["window"]))
-        circuit, series = results.circuit(0), results.series(0, 1)
+    results = points_of(run_file)
+    made = circuits.figure_comp05(results, models.named(["window"]), (0, 1))
+    circuit, series = results.circuit(0), results.series(0, 1)
     second = models.MODELS["window"].nearest_stable(
         circuit, currents.settled_number2(circuit, series)
     )
@@ -111,9 +113,9 @@ def test_theory_has_the_colour_of_what_it_is_meant_for(run_file: Path) -> None:
 
 
 def test_scene_shows_every_particle_and_counts_those_in_the_gates(run_file: Path) -> None:
-    with Results(run_file) as results:
-        circuit, snapshot = results.circuit(0), results.snapshot(0, 0, -1)
-    made = scene.figure_scene(circuit, snapshot)
+    results = points_of(run_file)
+    circuit, snapshot = results.circuit(0), results.snapshot(0, 0, -1)
+    made = scene.picture_of(circuit, snapshot)
     whole, channel = made.axes
     first = np.count_nonzero(snapshot.x < 0.0)
     for part in ("t = 10", "N = 1000", f"N_1 = {first}", f"N_2 = {1000 - first}"):
@@ -156,7 +158,7 @@ def test_not_hdf5(command: list[str], tmp_path: Path, capsys: pytest.CaptureFixt
 def test_damaged_file(run_file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "half.h5"
     path.write_bytes(run_file.read_bytes()[:5000])
-    assert "it has no digest at its end" in _one_line(["currents"], path, capsys)
+    assert "it has no digest at its end" in _one_line(["plot", "flows"], path, capsys)
 
 
 @pytest.mark.parametrize("command", READERS)
@@ -170,15 +172,15 @@ def test_another_programs_hdf5(
 
 
 def test_a_folder_is_no_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert "is a folder" in _one_line(["currents"], tmp_path, capsys)
+    assert "is a folder" in _one_line(["plot", "flows"], tmp_path, capsys)
 
 
 def test_missing_series_and_snapshots(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = results_of(tmp_path / "bare.h5", output=BARE)
-    assert "has no series" in _one_line(["currents"], path, capsys)
-    assert "has no snapshots" in _one_line(["scene"], path, capsys)
+    assert "has no series" in _one_line(["plot", "flows"], path, capsys)
+    assert "has no snapshots" in _one_line(["plot", "scene"], path, capsys)
     assert "has no snapshots" in _one_line(["film"], path, capsys)
-    assert "has no series" in _one_line(["figures", "lifetimes"], path, capsys)
+    assert "has no series" in _one_line(["plot", "lifetimes"], path, capsys)
 
 
 def test_a_series_without_one_of_its_flows(
@@ -188,8 +190,8 @@ def test_a_series_without_one_of_its_flows(
     with edited(path) as file:
         del file["series/flow2_12"]
         del file["snapshots/uy"]
-    assert "has no series/flow2_12" in _one_line(["currents"], path, capsys)
-    assert "has no snapshots/uy" in _one_line(["scene"], path, capsys)
+    assert "has no series/flow2_12" in _one_line(["plot", "flows"], path, capsys)
+    assert "has no snapshots/uy" in _one_line(["plot", "scene"], path, capsys)
 
 
 def test_a_circuit_is_read_from_values_not_from_the_namelist(tmp_path: Path) -> None:
@@ -198,8 +200,8 @@ def test_a_circuit_is_read_from_values_not_from_the_namelist(tmp_path: Path) -> 
     path = results_of(tmp_path / "run.h5", table=table, output=BARE)
     with edited(path) as file:
         file.attrs["namelist"] = "no namelist"
-    with Results(path) as results:
-        assert results.circuit(0) == Circuit(1000, 7, **table, age=500.0)
+    results = points_of(path)
+    assert results.circuit(0) == Circuit(1000, 7, **table, age=500.0)
 
 
 @pytest.mark.usefixtures("unwritten")
@@ -208,14 +210,13 @@ def test_scatterers_are_drawn_and_no_theory_is_asked(tmp_path: Path) -> None:
     output = {"series_interval": 1.0, "snapshot_times": [5.0, 5.2]}
     path = results_of(tmp_path / "run.h5", table=table, run={"duration": 20.0}, output=output)
     here = [str(path), "--output", str(tmp_path)]
-    for command in ("scene", "currents"):
-        assert call(command, here) == 0, command
-    assert call("figures", ["model", *here]) == 0
-    with Results(path) as results, pytest.raises(InputError, match="knows scatterers"):
-        stationary_states(results.circuit(0))
-    with Results(path) as results:
-        drawn = figure_scene(results.circuit(0), results.snapshot(0, 0, 0)).axes[0]
-        circuit, line = results.circuit(0), float(results.circuit(0).end)
+    for name in ("scene", "flows", "model"):
+        assert call("plot", [name, *here]) == 0, name
+    with pytest.raises(InputError, match="knows scatterers"):
+        stationary_states(points_of(path).circuit(0))
+    results = points_of(path)
+    drawn = picture_of(results.circuit(0), results.snapshot(0, 0, 0)).axes[0]
+    circuit, line = results.circuit(0), float(results.circuit(0).end)
     discs = [patch.center for patch in drawn.patches if isinstance(patch, Circle)]
     # In a film a flight stops at a disc.
     x, y = film.flown(circuit, Snapshot(0.0, *np.array([[0.2 - line], [0.0], [-1.0], [0.0]])), 0.15)
@@ -234,10 +235,10 @@ def test_a_film_reads_its_snapshots_at_once(
         read.append(dataset.name)
         return get(dataset, *which, **more)
 
-    with Results(run_file) as results:
-        single = [results.snapshot(0, 0, k) for k in range(results.snapshot_times().size)]
-        monkeypatch.setattr(h5py.Dataset, "__getitem__", counted)
-        together = film.read_scenes(results, 0, 0).snapshots
+    results = points_of(run_file)
+    single = [results.snapshot(0, 0, k) for k in range(3)]
+    monkeypatch.setattr(h5py.Dataset, "__getitem__", counted)
+    together = film.read_scenes(results, 0, 0).snapshots
     assert len(together) == len(single) > 1
     for one, other in zip(together, single, strict=True):
         assert one.time == other.time
@@ -247,7 +248,7 @@ def test_a_film_reads_its_snapshots_at_once(
 
 
 def test_no_such_task(run_file: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert call("currents", [str(run_file), "--point", "9"]) == 2
+    assert call("plot", ["flows", str(run_file), "--point", "9"]) == 2
     assert "2 point(s)" in capsys.readouterr().err
 
 
@@ -256,7 +257,7 @@ def test_folder_that_cannot_be_written(
     run_file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     tmp_path.chmod(stat.S_IRUSR | stat.S_IXUSR)
-    assert call("currents", [str(run_file), "--output", str(tmp_path)]) == 2
+    assert call("plot", ["flows", str(run_file), "--output", str(tmp_path)]) == 2
     assert capsys.readouterr().err.count("\n") == 1
 
 
@@ -265,14 +266,14 @@ def test_a_partial_run_is_drawn_and_says_so(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = leave_out(results_of(tmp_path / "part.h5", scan={"threshold": [7, 18]}), (1, 1))
-    words = ["--model", "window", "--output", str(tmp_path)]
-    assert call("currents", [str(path), *words]) == 0
+    words = ["--theory", "window", "--output", str(tmp_path)]
+    assert call("plot", ["flows", str(path), *words]) == 0
     assert "partial run: 3 of 4 tasks" in capsys.readouterr().err
-    with Results(path) as results:
-        mean, error = results.replica_mean("chi")
-        assert np.all(np.isfinite(mean))
-        assert error[0] > 0.0  # of its two replicas
-        assert np.isnan(error[1]) or error[1] > 0.0
+    results = points_of(path)
+    mean, error = results.chi, results.chi_error
+    assert np.all(np.isfinite(mean))
+    assert error[0] > 0.0  # of its two replicas
+    assert np.isnan(error[1]) or error[1] > 0.0
 
 
 @pytest.mark.usefixtures("unwritten")
@@ -281,17 +282,17 @@ def test_of_a_partial_run_a_task_that_is_done_is_drawn(
 ) -> None:
     path = results_of(tmp_path / "part.h5", scan={"threshold": [7, 18]}, run={"duration": 200.0})
     leave_out(path, (0, 0), (0, 1), (1, 0))
-    with Results(path) as results:
-        assert results.task(None, None) == (1, 1)
-        assert results.task(2, None) == (1, 1)
-        assert results.task(1, 2) == (0, 1)
-    mixed = ["--model", "window"]
-    for command, words in (("currents", mixed), ("scene", []), ("film", ["--seconds", "0.2"])):
-        assert call(command, [str(path), *words, "--output", str(tmp_path)]) == 0
+    results = points_of(path)
+    assert results.task(None, None) == (1, 1)
+    assert results.task(2, None) == (1, 1)
+    assert results.task(1, 2) == (0, 1)
+    here = [str(path), "--output", str(tmp_path)]
+    for name in ("comp05", "comp06", "scene"):
+        assert call("plot", [name, *here, "--theory", "window"]) == 0
         assert "partial run: 1 of 4 tasks" in capsys.readouterr().err
-    for name in ("comp05", "comp06"):
-        assert call("figures", [name, str(path), *mixed, "--output", str(tmp_path)]) == 0
-    assert call("currents", [str(path), "--point", "1", "--output", str(tmp_path)]) == 2
+    assert call("film", [*here, "--seconds", "0.2"]) == 0
+    assert "partial run: 1 of 4 tasks" in capsys.readouterr().err
+    assert call("plot", ["flows", *here, "--point", "1"]) == 2
     assert capsys.readouterr().err.strip().splitlines()[-1].startswith("error: ")
 
 
@@ -310,15 +311,15 @@ def unlike_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.usefixtures("unwritten")
 def test_unlike_sides_are_drawn_as_they_are(unlike_file: Path, tmp_path: Path) -> None:
     film_of = ["film", "--gif", "--seconds", "0.2"]
-    for command in (["currents"], film_of, ["report"], ["figures", "model"]):
+    for command in (["plot", "flows"], film_of, ["report"], ["plot", "model"]):
         assert call(command[0], [*command[1:], str(unlike_file), "--output", str(tmp_path)]) == 0
     told = (tmp_path / "unlike.html").read_text()
     assert "of equal urns and gates" in told
     assert "renewal gate" not in told
     picture = re.search(r'src="data:image/png;base64,([^"]+)"', told)[1]
     assert plt.imread(io.BytesIO(base64.b64decode(picture)))[..., :3].min() == 0.0
-    with Results(unlike_file) as results:
-        table, shot = results.any_circuit(0), results.snapshot(0, 0, 0)
+    results = points_of(unlike_file)
+    table, shot = results.any_circuit(0), results.snapshot(0, 0, 0)
     chord, beyond = (np.sqrt(radius**2 - 0.15**2) for radius in (1.2, 0.8))
     ends = [0.5 + chord + np.sqrt(radius**2 - 0.1**2) + 0.5
             for chord, radius in ((chord, 1.2), (beyond, 0.8))]  # fmt: skip
@@ -326,7 +327,7 @@ def test_unlike_sides_are_drawn_as_they_are(unlike_file: Path, tmp_path: Path) -
     assert [x.min(), x.max()] == pytest.approx([-ends[0], ends[1]])
     assert np.hypot(x[x < -0.5] + 0.5 + chord, y[x < -0.5]).min() == pytest.approx(1.2, abs=1e-4)
     assert np.hypot(x[x > 0.5] - 0.5 - beyond, y[x > 0.5]).min() == pytest.approx(0.8, abs=1e-4)
-    drawn = figure_scene(table, shot)
+    drawn = picture_of(table, shot)
     discs = sorted(patch.center[0] for patch in drawn.axes[0].patches if isinstance(patch, Circle))
     assert discs == pytest.approx([0.01 - ends[0], ends[1] - 0.2, ends[1] + 0.01])
     titles = [drawn.axes[1].get_title(where) for where in ("left", "right")]
@@ -340,21 +341,22 @@ def test_unlike_sides_are_drawn_as_they_are(unlike_file: Path, tmp_path: Path) -
 
 
 def test_theory_of_unlike_sides_is_refused_with_a_line(
-    unlike_file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    unlike_file: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert call("figures", ["comp05", str(unlike_file), "--output", str(tmp_path)]) == 2
+    assert call("plot", ["comp06", str(unlike_file), "--theory", "window"]) == 2
     (line,) = capsys.readouterr().err.strip().splitlines()
-    assert "gate_threshold is 4 and 6, urn_radius is 1.2 and 0.8 at point 1" in line
+    assert "gate_threshold is 4 and 6, urn_radius is 1.2 and 0.8, at point 0" in line
 
 
 def test_error_of_replicas_covers_their_spread() -> None:
     random = np.random.default_rng(3)
-    values = random.normal(1.0, 0.1, (500, 8))
-    mean, error = mean_and_error(values, np.full(values.shape, 0.01))
-    assert np.mean(np.abs(mean - 1.0) < 2 * error) > 0.9
-    assert mean_and_error(values[:, :1], np.full((500, 1), 0.07))[1] == pytest.approx(0.07)
-    assert np.isnan(mean_and_error(values[:, :1], np.full((500, 1), np.nan))[1]).all()
-    assert (mean_and_error(values[:, :2], np.full((500, 2), np.nan))[1] > 0.0).all()
+    values = xr.DataArray(random.normal(1.0, 0.1, (500, 8)), dims=("point", "replica"))
+    found = mean_error(values, xr.full_like(values, 0.01))
+    assert np.mean(np.abs(found["mean"] - 1.0) < 2 * found["error"]) > 0.9
+    one = values[:, :1]
+    assert (mean_error(one, xr.full_like(one, 0.07))["error"] == 0.07).all()
+    assert np.isnan(mean_error(one)["error"]).all()
+    assert (mean_error(values[:, :2])["error"] > 0.0).all()
 
 
 def test_counted_are_those_in_a_gate_heading_for_the_other() -> None:

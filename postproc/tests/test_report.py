@@ -17,10 +17,10 @@ from selenium.webdriver.common.action_chains import ActionChains
 from selenium.webdriver.support.ui import WebDriverWait
 
 from postproc.figures import film
-from postproc.reading.results import Results, Snapshot
-from postproc.report import data, warn
+from postproc.reading.points import Snapshot
+from postproc.reporting import data, warn
 from postproc.tests.commands import call
-from postproc.tests.runs import edited, leave_out, results_of
+from postproc.tests.runs import edited, leave_out, points_of, results_of
 from postproc.theory.circuit import Circuit
 from postproc.theory.models import MODELS
 
@@ -72,26 +72,26 @@ def test_page_carries_everything(page: Path) -> None:
 
 
 def test_columns_say_what_the_file_says(run_file: Path) -> None:
-    with Results(run_file) as results:
-        scan = data.scanned(results)
-        assert (scan.across, scan.up, scan.others) == ("threshold", "channel2_width", {})
-        columns = data.points_of(results, scan, {"window": MODELS["window"]})
-        assert (min(columns["left"]), min(columns["bottom"])) == (2.0, 0.0)  # w' has no negative
-        for key, values in scan.keys.items():
-            assert values == pytest.approx(results.value(key))
-        assert columns["chi"] == pytest.approx(results.replica_mean("chi")[0], rel=1e-4)
-        assert columns["tasks"].tolist() == [*["2 of 2"] * 5, "1 of 2"]
-        time, series = data.series_of(results)
-        spread = series["spread"].reshape(6, 2, time.size)
-        last = results.series(3, 1).urn1_number[-1] / 500.0 - 1.0
-        assert spread[3, 1, -1] == pytest.approx(last)
-        assert np.isnan(spread[5, 1]).all()
-        flows = results.series(3, 1).flows
-        through = (flows["flow1_12"] - flows["flow1_21"]).mean()
-        assert np.nanmean(series["current"].reshape(6, 2, -1)[3, 1, 1:]) == pytest.approx(
-            through, rel=0.1, abs=0.1
-        )
-        text = data.namelist_of_point(results, scan)
+    results = points_of(run_file)
+    scan = data.scanned(results)
+    assert (scan.across, scan.up, scan.others) == ("threshold", "channel2_width", {})
+    columns = data.points_of(results, scan, {"window": MODELS["window"]})
+    assert (min(columns["left"]), min(columns["bottom"])) == (2.0, 0.0)  # w' has no negative
+    for key, values in scan.keys.items():
+        assert values == pytest.approx(results.value(key))
+    assert columns["chi"] == pytest.approx(results.chi, rel=1e-4)
+    assert columns["tasks"].tolist() == [*["2 of 2"] * 5, "1 of 2"]
+    time, series = data.series_of(results)
+    spread = series["spread"].reshape(6, 2, time.size)
+    last = results.series(3, 1).urn1_number[-1] / 500.0 - 1.0
+    assert spread[3, 1, -1] == pytest.approx(last)
+    assert np.isnan(spread[5, 1]).all()
+    flows = results.series(3, 1).flows
+    through = (flows["flow1_12"] - flows["flow1_21"]).mean()
+    assert np.nanmean(series["current"].reshape(6, 2, -1)[3, 1, 1:]) == pytest.approx(
+        through, rel=0.1, abs=0.1
+    )
+    text = data.namelist_of_point(results, scan)
     point = f90nml.reads(text.replace("'@threshold@'", "8").replace("'@channel2_width@'", "0.05"))
     assert point["scan"] == {"threshold": 8, "channel2_width": 0.05, "replicas": 2}
 
@@ -104,12 +104,12 @@ def test_columns_say_what_the_file_says(run_file: Path) -> None:
 )  # fmt: skip
 def test_any_scan_has_its_page(tmp_path: Path, scan: dict[str, object], number: int) -> None:
     path = results_of(tmp_path / "run.h5", scan=scan, run={"duration": 20.0})
-    assert call("report", [str(path), "--output", str(tmp_path), "--model", "window"]) == 0
+    assert call("report", [str(path), "--output", str(tmp_path), "--theory", "window"]) == 0
     text = (tmp_path / "run.html").read_text()
-    with Results(path) as results:
-        scanned = data.scanned(results)
-        assert len(scanned.others) == max(len(scan) - 2, 0)
-        assert number < 4 or len(list(scanned.slices())) == len(scan) - 1
+    results = points_of(path)
+    scanned = data.scanned(results)
+    assert len(scanned.others) == max(len(scan) - 2, 0)
+    assert number < 4 or len(list(scanned.slices())) == len(scan) - 1
     assert len(re.findall(r'"name":"(?:chi|current)(?:_error)?"', text)) == number
 
 
@@ -164,10 +164,10 @@ def test_hover_and_click_show_the_point_and_the_console_is_silent(browser: WebDr
     mouse.w3c_actions.pointer_action.click()
     mouse.perform()
     until("points.selected.indices[0] === 3")
-    until("document_.get_model_by_name('name').text.startsWith('Point 4. ')")
+    until("document_.get_model_by_name('name').text.startsWith('Point 3. ')")
     assert shown("document_.get_model_by_name('replicas').view.filter.indices") == [6, 7]
     series = "document_.get_model_by_name('series_spread').renderers[0].data_source.data"
-    assert shown(f"{series}.replica") == ["replica 1", "replica 2"]
+    assert shown(f"{series}.replica") == ["replica 0", "replica 1"]
     scan = f90nml.reads(shown("document_.get_model_by_name('namelist').text"))["scan"]
     assert scan["threshold"] == shown("points.data.threshold[3]")
     assert scan["channel2_width"] == shown("points.data.channel2_width[3]")
@@ -206,7 +206,7 @@ def test_report_of_the_single_urn(tmp_path: Path) -> None:
 def test_a_run_shorter_than_its_series_interval_has_a_page(tmp_path: Path) -> None:
     output = {"series_interval": 20.0, "snapshot_times": None}
     path = results_of(tmp_path / "run.h5", run={"duration": 5.0}, output=output)
-    assert call("report", [str(path), "--output", str(tmp_path), "--model", "window"]) == 0
+    assert call("report", [str(path), "--output", str(tmp_path), "--theory", "window"]) == 0
     assert "series_spread" not in (tmp_path / "run.html").read_text()
     # Tasks of one file differ in length if their collisions are given.
     length = {"duration": None, "collisions": 60000, "transient_collisions": 0}
@@ -214,9 +214,9 @@ def test_a_run_shorter_than_its_series_interval_has_a_page(tmp_path: Path) -> No
         tmp_path / "two.h5", run=length, particles={"number": None}, output=output,
         scan={"number": [100, 20000], "replicas": 1},
     )  # fmt: skip
-    assert call("report", [str(path), "--output", str(tmp_path), "--model", "window"]) == 0
-    with Results(path) as results:
-        time, columns = data.series_of(results)
+    assert call("report", [str(path), "--output", str(tmp_path), "--theory", "window"]) == 0
+    results = points_of(path)
+    time, columns = data.series_of(results)
     known = np.isfinite(columns["spread"].reshape(2, time.size)).any(axis=1)
     assert known.tolist() == [True, False]
 
@@ -253,16 +253,16 @@ def test_what_memory_explains_is_no_warning(tmp_path: Path) -> None:
         for name in ("current1", "current2", "polarised_current"):
             file[name][:] = [[0.98, 0.98], [4.9, 4.9], [0.98, 0.98], [4.9, 4.9]]
             file[f"{name}_error"][:] = 1e-3
-    with Results(path) as results:
-        assert results.value("channel2_width").tolist() == [0.01, 0.05, 0.01, 0.05]
-        assert warn.warnings(results) == []
-        (told,) = warn.explanations(results)
+    results = points_of(path)
+    assert results.value("channel2_width").tolist() == [0.01, 0.05, 0.01, 0.05]
+    assert warn.warnings(results) == []
+    (told,) = warn.explanations(results)
     assert told.startswith("At 4 of 4 points")
     assert "no error" in told
     with edited(path) as file:
         file["polarised_current"][0] = [1.3, 1.3]
-    with Results(path) as results:
-        (wrong,) = warn.warnings(results)
+    results = points_of(path)
+    (wrong,) = warn.warnings(results)
     assert wrong.startswith("T = 7, w' = 0.01, N = 1000: the net current is 4")
     assert "More replicas tell" in wrong
 
@@ -294,7 +294,7 @@ def test_flight_stays_on_the_table() -> None:
 def test_film_has_all_its_frames(kind: str, filmed: Path, tmp_path: Path) -> None:
     options = [str(filmed), "--output", str(tmp_path), "--seconds", "0.4"]
     assert call("film", options + (["--gif"] if kind == "gif" else [])) == 0
-    made = tmp_path / f"film.{kind}"
+    made = tmp_path / f"run_film.{kind}"
     if kind == "mp4":
         assert imageio_ffmpeg.count_frames_and_secs(str(made))[0] == 10 == 0.4 * film.RATE
     else:
@@ -306,7 +306,7 @@ def test_film_has_all_its_frames(kind: str, filmed: Path, tmp_path: Path) -> Non
 def test_a_film_that_cannot_be_written(
     kind: str, filmed: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    (tmp_path / f"film.{kind}").mkdir()
+    (tmp_path / f"run_film.{kind}").mkdir()
     options = [str(filmed), "--output", str(tmp_path), "--seconds", "0.2"]
     assert call("film", options + (["--gif"] if kind == "gif" else [])) == 2
     (line,) = capsys.readouterr().err.strip().splitlines()
@@ -321,15 +321,15 @@ def test_without_an_extra_its_command_says_how_to_install_it(
 ) -> None:  # fmt: skip
     for name in [package, *(one for one in sys.modules if one.startswith(f"{package}."))]:
         monkeypatch.setitem(sys.modules, name, None)
-    monkeypatch.delitem(sys.modules, "postproc.report.page", raising=False)
+    monkeypatch.delitem(sys.modules, "postproc.reporting.page", raising=False)
     assert call(command, [str(filmed), "--output", str(tmp_path)]) == 2
     install = f"pip install 'battery-postproc[{command}]'"
     assert capsys.readouterr().err == f"error: {package} is missing: {install}\n"
 
 
 def test_a_frame_shows_its_moment(filmed: Path) -> None:
-    with Results(filmed) as results:
-        scenes = film.read_scenes(results, 0, 0)
+    results = points_of(filmed)
+    scenes = film.read_scenes(results, 0, 0)
     stage = film.Stage(scenes)
     stage.show(5.25, 0.1)
     pixels = np.array(stage.figure.canvas.buffer_rgba())
@@ -368,5 +368,5 @@ def test_report_of_nothing_done(tmp_path: Path, capsys: pytest.CaptureFixture[st
     path = leave_out(results_of(tmp_path / "none.h5", scan={"replicas": 1}), (0, 0))
     assert call("report", [str(path), "--output", str(tmp_path)]) == 2
     assert capsys.readouterr().err == f"error: {path}: no task is complete yet\n"
-    with Results(path) as results:
-        assert results.remark == "partial run: 0 of 1 tasks"
+    results = points_of(path)
+    assert results.remark == "partial run: 0 of 1 tasks"

@@ -10,9 +10,10 @@ from typing import TYPE_CHECKING
 import matplotlib as mpl
 import pytest
 
-from postproc.figures import currents, film, maps, model, models, scene, style
-from postproc.reading.results import opened
-from postproc.report import page
+from postproc.figures import circuits, film, maps, model, models, scene, style
+from postproc.reading.grid import open_results
+from postproc.reading.points import Points
+from postproc.reporting import page
 from postproc.tests.runs import results_of
 
 if TYPE_CHECKING:
@@ -45,21 +46,20 @@ def file(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def pictures(file: Path, folder: Path) -> dict[str, bytes]:
     """Return the contents of pictures of each kind."""
     window = models.named(["window"])
-    with opened([file]) as (results,):
-        circuit, snapshot = results.circuit(0), results.snapshot(0, 0, -1)
-        made = {
-            "map": maps.figure_numris([results], window),
-            "currents": currents.figure_currents(results, 0, 0, window),
-            "scene": scene.figure_scene(circuit, snapshot),
-        }
-        film.write(film.read_scenes(results, 0, 0), 0.2, folder / "film.gif")
-        style.note(made["scene"].axes[0], "partial run")
-        found = {}
-        for name, one in made.items():
-            for path in style.save(one, folder, name):
-                found[path.name] = path.read_bytes()
-        found["film"] = (folder / "film.gif").read_bytes()
-        found["page"] = page._picture(circuit).encode()
+    points = Points(open_results(file))
+    made = {
+        "map": maps.figure_numris(points, window),
+        "flows": circuits.figure_comp05(points, window, (0, 0)),
+        "scene": scene.figure_scene(points, (0, 0)),
+    }
+    film.write(film.read_scenes(points, 0, 0), 0.2, folder / "film.gif")
+    style.note(made["scene"].axes[0], "partial run")
+    found = {}
+    for name, one in made.items():
+        for path in style.save(one, folder, name):
+            found[path.name] = path.read_bytes()
+    found["film"] = (folder / "film.gif").read_bytes()
+    found["page"] = page._picture(points.circuit(0)).encode()
     return found
 
 
@@ -80,8 +80,8 @@ def test_a_command_draws_alike_whatever_backend_and_matplotlibrc_say(tmp_path: P
     (tmp_path / "matplotlibrc").write_text("\n".join(lines).replace("(", "").replace(")", ""))
     environment = {**os.environ, "MATPLOTLIBRC": str(tmp_path)}
     environment["MPLBACKEND"] = "module://matplotlib_of_a_notebook.backend"
-    command = [sys.executable, "-m", "postproc.figures", "model", "--output", str(tmp_path)]
+    command = [sys.executable, "-m", "postproc", "plot", "model", "--output", str(tmp_path)]
     ended = subprocess.run(command, env=environment, text=True, capture_output=True, check=False)
     assert (ended.returncode, ended.stderr) == (0, "")
-    for path in style.save(model.figure_model([]), tmp_path / "here", "model"):
+    for path in style.save(model.figure_model(), tmp_path / "here", "model"):
         assert (tmp_path / path.name).read_bytes() == path.read_bytes(), path.name

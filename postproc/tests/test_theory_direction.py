@@ -152,7 +152,7 @@ def test_cosine_of_entries_is_remembered_over_visits() -> None:
 
 
 # w and w', then K11, K12, K21 and K22 of the second Legendre polynomial by 4e6 drawn visits, and
-# their errors: `visits_check` of the study of accuracy
+# their errors, by the study of accuracy
 DRAWN = (
     ((0.1, 0.05), (0.583808, 0.411443, 0.823611, 0.173733), (5.8e-4, 5.2e-4, 9.1e-4, 5.0e-4)),
     ((0.03, 0.003), (0.902923, 0.0959015, 0.961474, 0.0395338), (5.6e-4, 2.3e-4, 1.8e-3, 4.8e-4)),

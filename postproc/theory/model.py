@@ -169,6 +169,24 @@ class Model:
         stable = [state for state in self.states(circuit) if state.kind == "stable"]
         return stable[-1] if stable else None
 
+    def reached(self, circuit: Circuit, number2: float) -> State | None:
+        """Return the stable state that the drift reaches from N2, None if there is none.
+
+        Of two equal urns that with N2 >= N/2, which has a mirror image. From an unstable state
+        fluctuations lead to the next one.
+        """
+        half = 0.5 * float(circuit.number)
+        found = list(self.states(circuit))
+        if circuit.alike:
+            found.insert(0, State(half, self.homogeneous_kind(circuit), 0.0, 0.0))
+            number2 = half + abs(number2 - half)
+        stable = [one for one in found if one.kind != "unstable"]
+        barriers = [one.urn2_number for one in found if one.kind == "unstable"]
+        free = [one for one in stable
+                if not any(min(number2, one.urn2_number) < place < max(number2, one.urn2_number)
+                           for place in barriers)]  # fmt: skip
+        return min(free, key=lambda one: abs(one.urn2_number - number2), default=None)
+
     def zeros(self, circuit: Circuit) -> list[tuple[float, str]]:
         """Return (N2, kind) of all stationary states, on both sides of N/2 and at it."""
         total = float(circuit.number)

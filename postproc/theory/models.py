@@ -9,7 +9,7 @@ import math
 from functools import partial
 from typing import TYPE_CHECKING
 
-from postproc.cli import finite
+from postproc.cli import InputError, finite
 from postproc.theory import direction, ports, settling, two_port
 from postproc.theory.gates import WINDOW
 from postproc.theory.model import Model
@@ -80,9 +80,25 @@ def defaults(circuits: Iterable[Circuit]) -> tuple[Model, Model]:
     return MODELS["window"], better
 
 
+def named(names: Iterable[str], circuits: Iterable[Circuit] = ()) -> tuple[Model, ...]:
+    """Return theories by their names.
+
+    Raises `InputError` if there is none of a name, or if one does not apply to a circuit.
+    """
+    found, asked = [], set(circuits)
+    for name in names:
+        if not (isinstance(name, str) and name in MODELS):
+            raise InputError(f"there is no theory {name!r}; there are {', '.join(MODELS)}")
+        if refused := next((one for one in map(MODELS[name].refusal, asked) if one), ""):
+            able = [one for one in MODELS if not any(map(MODELS[one].refusal, asked))]
+            raise InputError(f"{refused}; these apply: {', '.join(able) or 'none'}")
+        found.append(MODELS[name])
+    return tuple(found)
+
+
 def guide() -> list[str]:
     """Return the lines of a table of all theories and their use, in Markdown."""
-    lines = ["| `--model` | label | what it is | time per state | also computes | use it for |",
+    lines = ["| `--theory` | label | what it is | time per state | also computes | use it for |",
              "| --- | --- | --- | --- | --- | --- |"]  # fmt: skip
     for one in MODELS.values():
         seconds = f"{1e3 * one.seconds:g} ms" if one.seconds < 1.0 else f"{one.seconds:g} s"

@@ -8,8 +8,8 @@ is exactly 1 - (T+1)/(nu C).
 For exponential times inside, nu C would be the sum of 1/B(n, x) over n = 0 ... T, B Erlang's loss
 formula at load x = nu tau (a birth-death chain). The correction for the true times is a smooth
 function of load and threshold up to T = 100, a polynomial in `renewal_fit.json` for the difference
-of the logits of the shares. `renewal_fit.py` makes it from deterministic solutions of moment
-equations; the file has their differences from each other and from simulations.
+of the logits of the shares. The study of the renewal gate makes it from deterministic solutions of
+moment equations; the file has their differences from each other and from simulations.
 
 In the limit of large T the number inside is deterministic: nu times the integral of the probability
 to be still inside. It reaches T at the time t, and the share is 1 - T/(nu t).
@@ -182,7 +182,7 @@ class RenewalGate:
 
     @cached_property
     def fit(self) -> dict[str, object]:
-        """The fit, as written by `renewal_fit.py`."""
+        """The fit, as written by the study of the renewal gate."""
         return json.loads(FIT_FILE.read_text())
 
     @cached_property

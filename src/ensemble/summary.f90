@@ -6,13 +6,13 @@ module battery_summary
   use battery_table, only: channel1, channel2
   use battery_tasks, only: task_count
   use battery_precision, only: cut_between_groups
-  use battery_quantities, only: quantity_type, averaged_quantities, counted_quantities, place_of
+  use battery_quantities, only: averaged_quantities, counted_quantities, place_of
   use battery_results, only: results_type, scatter_of, task_complete, task_not_asked, &
     point_two_states, point_not_precise
   use battery_progress_line, only: duration_text, rate_text
   use battery_terminal, only: print_line
   use battery_command_line, only: ways_to_stop
-  use battery_text, only: string_type, to_text, new_line_character
+  use battery_text, only: string_type, to_text, count_text
   implicit none (type, external)
   private
   public :: print_summary
@@ -20,6 +20,13 @@ module battery_summary
   !> Up to this many tasks are printed one by one; up to this many points, with averages over their
   !> replicas.
   integer, parameter :: most_rows = 12
+
+  !> What the tables may show, and their heads there: the currents of both channels where they have
+  !> an error. Their sign is that of the polarity, which must have changed some times for it.
+  character(len=*), parameter :: names(4) = [character(len=17) :: 'chi', 'polarised_current', &
+    'current1', 'current2']
+  character(len=*), parameter :: heads(4) = [character(len=10) :: 'chi', 'polarised', 'current 1', &
+    'current 2']
 
 contains
 
@@ -40,6 +47,7 @@ contains
     !> Whether no task is pending; whether to print errors only.
     logical, intent(in) :: all_done, quiet
     integer :: point, replica, done, task
+    logical :: shown(size(names)), lacking
 
     done = count(results%task_status == task_complete)
     do task = 1, size(failures)
@@ -47,52 +55,68 @@ contains
         //failures(task)%text)
     end do
     if (quiet) return
-    if (task_count(plan) <= most_rows) then
-      call print_line('     N    T       w         w''   replica       chi  +-error' &
-        //'    current 1  +-error    current 2  +-error')
+    shown = shown_quantities(results)
+    lacking = .false.
+    if (task_count(plan) <= most_rows .and. done > 0) then
+      call print_line(table_head('   replica', shown))
       do point = 1, size(results%point)
         do replica = 1, plan%replicas
           if (results%task_status(replica, point) == task_complete) call print_task_row(results, &
-            point, replica)
+            point, replica, shown, lacking)
         end do
       end do
     end if
-    if (plan%replicas > 1 .and. plan%point_count <= most_rows) call print_points(results)
-    if (some_too_short(results)) call print_line('errors of some runs are NaN (too short): ' &
-      //'use more replicas (&scan replicas) or longer runs')
+    if (plan%replicas > 1 .and. plan%point_count <= most_rows) call print_points(results, shown)
+    if (lacking) call print_line('-: the run is too short for an error of its own; replicas give ' &
+      //'one (&scan replicas)')
+    if (task_count(plan) > most_rows) call print_line('all points: battery-postproc table ' &
+      //plan%file)
     call print_line(to_text(done)//' of '//to_text(count(results%task_status /= task_not_asked)) &
       //' tasks are complete')
     call list_points(results, point_two_states, 'replicas fall into two states')
     call list_points(results, point_not_precise, 'the precision was not reached')
-    call print_line('ranks '//to_text(ranks)//', busy '//to_text(nint(100.0_dp*busy(1)))//' / ' &
-      //to_text(nint(100.0_dp*busy(2)))//' / '//to_text(nint(100.0_dp*busy(3))) &
-      //' % (least, mean, greatest)')
     call print_line(rate_text(real(collisions, dp)/max(seconds, 1.0e-9_dp))//' collisions/s in ' &
-      //duration_text(seconds))
+      //duration_text(seconds)//' on '//count_text(ranks, 'rank')//', busy for '&
+      //to_text(nint(100.0_dp*busy(2)))//' % of the time')
     if (done > 0) call print_slowest(results)
     if (any(results%counted(:, :, place_of('trapped', counted_quantities())) > 0)) &
       call print_line('some particles are on orbits that never leave: see the dataset trapped')
     call print_missing_snapshots(results)
     if (.not. all_done) call &
-      print_line('stopped early, the state is saved: the same command goes on' &
-      //new_line_character//ways_to_stop)
+      print_line('stopped early, the state is saved: the same command goes on')
+    if (.not. all_done .and. ranks > 1) call print_line(ways_to_stop)
     call print_line('results: '//plan%file)
   end subroutine print_summary
 
-  !> Whether any average of a complete task lacks the error that it should have.
-  pure logical function some_too_short(results)
+  !> Which of `names` the tables show: chi and the polarised current where they are known, the
+  !> currents of the channels where a task has an error of them, or nothing else is known.
+  pure function shown_quantities(results) result(shown)
     type(results_type), intent(in) :: results
-    type(quantity_type), allocatable :: list(:)
+    logical :: shown(size(names))
+    logical, allocatable :: complete(:, :)
+    integer :: k, at
+
+    complete = results%task_status == task_complete
+    do k = 1, size(names)
+      at = place_of(trim(names(k)), averaged_quantities())
+      shown(k) = any(complete .and. .not. ieee_is_nan(results%average(:, :, at)))
+      if (k > 2 .and. any(shown(:2))) shown(k) = shown(k) .and. any(complete &
+        .and. .not. ieee_is_nan(results%error(:, :, at)))
+    end do
+  end function shown_quantities
+
+  !> The head of a table; `which`: what its fifth column is.
+  pure function table_head(which, shown) result(text)
+    character(len=*), intent(in) :: which
+    logical, intent(in) :: shown(:)
+    character(len=:), allocatable :: text
     integer :: k
 
-    list = averaged_quantities()
-    some_too_short = .false.
-    do k = 1, size(list)
-      if (list(k)%has_error) some_too_short = some_too_short .or. any(results%task_status &
-        == task_complete .and. ieee_is_nan(results%error(:, :, k)) &
-        .and. .not. ieee_is_nan(results%average(:, :, k)))
+    text = '     N    T       w         w'''//which
+    do k = 1, size(shown)
+      if (shown(k)) text = text//repeat(' ', 13 - len_trim(heads(k)))//trim(heads(k))//'  +-error'
     end do
-  end function some_too_short
+  end function table_head
 
   !> Prints the numbers of the points with a given status, and its meaning.
   subroutine list_points(results, status, meaning)
@@ -132,35 +156,38 @@ contains
         //' of a processor, N = '//to_text(results%point(p)%number)//', T = ' &
         //to_text(results%point(p)%threshold(1))//', w = ' &
         //to_text(results%point(p)%channel(channel1)%width)//', w'' = ' &
-        //to_text(results%point(p)%channel(channel2)%width)//', replica '//to_text(r))
+        //to_text(results%point(p)%channel(channel2)%width)//', replica '//to_text(r - 1))
     end associate
   end subroutine print_slowest
 
   !> Prints, for each point with two complete replicas or more, averages over the replicas and their
-  !> standard errors from the scatter.
-  subroutine print_points(results)
+  !> standard errors from the scatter: of the polarised current, not of those with a sign.
+  subroutine print_points(results, shown)
     type(results_type), intent(in) :: results
-    character(len=*), parameter :: shown(2) = [character(len=17) :: 'chi', 'polarised_current']
-    real(dp) :: values(results%replicas, size(results%point)), pairs(2, 2, size(results%point))
+    !> Of `names`.
+    logical, intent(in) :: shown(:)
+    real(dp) :: values(results%replicas, size(results%point)), &
+      pairs(2, size(results%point), size(names))
     integer :: complete(size(results%point)), k, p
+    logical :: averaged(size(names))
 
     complete = count(results%task_status == task_complete, dim=1)
     if (all(complete < 2)) return
-    do k = 1, 2
-      values = results%average(:, :, place_of(trim(shown(k)), averaged_quantities()))
-      pairs(1, k, :) = sum(values, dim=1, mask=results%task_status == task_complete) &
+    averaged = shown
+    if (shown(2)) averaged(3:) = .false.
+    do k = 1, size(names)
+      values = results%average(:, :, place_of(trim(names(k)), averaged_quantities()))
+      pairs(1, :, k) = sum(values, dim=1, mask=results%task_status == task_complete) &
         /max(complete, 1)
-      pairs(2, k, :) = scatter_of(values, results%task_status)
+      pairs(2, :, k) = scatter_of(values, results%task_status)
     end do
-    call print_line( &
-      '     N    T       w         w''  replicas       chi  +-error    polarised  +-error' &
-      //'    (errors over replicas)')
+    call print_line(table_head('  replicas', averaged)//'    (errors over replicas)')
     do p = 1, size(results%point)
       if (complete(p) < 2) cycle
       if (in_two_states(results, p)) then
         call print_line(line_head(results, p, complete(p))//states_text(results, p))
       else
-        call print_line(line_head(results, p, complete(p))//pairs_text(pairs(:, :, p)))
+        call print_line(line_head(results, p, complete(p))//pairs_text(pairs(:, p, :), averaged))
       end if
     end do
   end subroutine print_points
@@ -196,18 +223,22 @@ contains
   end function states_text
 
   !> Prints one task: its averages and their errors.
-  subroutine print_task_row(results, p, r)
+  subroutine print_task_row(results, p, r, shown, lacking)
     type(results_type), intent(in) :: results
     integer, intent(in) :: p, r
-    character(len=*), parameter :: shown(3) = [character(len=8) :: 'chi', 'current1', 'current2']
-    real(dp) :: pairs(2, 3)
+    !> Of `names`.
+    logical, intent(in) :: shown(:)
+    !> Set if an error is not known.
+    logical, intent(inout) :: lacking
+    real(dp) :: pairs(2, size(names))
     integer :: k, place
 
-    do k = 1, 3
-      place = place_of(trim(shown(k)), averaged_quantities())
+    do k = 1, size(names)
+      place = place_of(trim(names(k)), averaged_quantities())
       pairs(:, k) = [results%average(r, p, place), results%error(r, p, place)]
     end do
-    call print_line(line_head(results, p, r)//pairs_text(pairs))
+    lacking = lacking .or. any(shown .and. ieee_is_nan(pairs(2, :)))
+    call print_line(line_head(results, p, r - 1)//pairs_text(pairs, shown))
   end subroutine print_task_row
 
   !> Beginning of the line of a point; `which` is the replica, or the number of replicas.
@@ -229,29 +260,31 @@ contains
     text = repeat(' ', max(1, width - len(to_text(number))))//to_text(number)
   end function whole_text
 
-  !> Text for chi and the currents, each with its error; (value and error, quantity).
-  pure function pairs_text(pairs) result(text)
+  !> Text for the shown quantities, each with its error; (value and error, quantity).
+  pure function pairs_text(pairs, shown) result(text)
     real(dp), intent(in) :: pairs(:, :)
+    logical, intent(in) :: shown(:)
     character(len=:), allocatable :: text
-    character(len=160) :: row
     integer :: k
 
-    write (row, '(f10.5, f9.5, 8a)') pairs(:, 1), (number_text(pairs(1, k), 13, 5), &
-      number_text(pairs(2, k), 9, 5), k=2, size(pairs, 2))
-    text = trim(row)
+    text = ''
+    do k = 1, size(shown)
+      if (shown(k)) text = text//number_text(pairs(1, k), 13, 5)//number_text(pairs(2, k), 9, 5)
+    end do
   end function pairs_text
 
   !> A number in `width` columns with `digits` decimals; with an exponent if it is too large for
-  !> that, or so small that no digit would be visible.
+  !> that, or so small that no digit would be visible; a dash if it is not known.
   pure function number_text(number, width, digits) result(text)
     real(dp), intent(in) :: number
     integer, intent(in) :: width, digits
     character(len=width) :: text
     character(len=16) :: layout
 
+    text = repeat(' ', width - 1)//'-'
+    if (ieee_is_nan(number)) return
     write (layout, '(a, i0, a, i0, a)') '(f', width, '.', digits, ')'
     write (text, layout) number
-    if (index(text, 'NaN') > 0) return
     if (index(text, '*') == 0 .and. .not. (abs(number) > 0.0_dp .and. abs(number) &
       < 1.0e-3_dp*0.1_dp**digits)) return
     write (layout, '(a, i0, a, i0, a)') '(es', width, '.', min(width - 7, digits), ')'

@@ -49,6 +49,9 @@ module battery_current_age
   !> Ratio of measured time to transient in the recommended run.
   real(dp), parameter :: measured = 2.0_dp
 
+  !> Cost of the recommended run over that of this one from which it is not worth having.
+  real(dp), parameter :: most_times = 100.0_dp
+
   !> The least chi of a state that counts as polarised.
   real(dp), parameter :: polarised = 0.3_dp
 
@@ -64,7 +67,7 @@ contains
     character(len=:), allocatable :: text
     type(circulation_type) :: here, worst
     type(point_type) :: point
-    real(dp) :: lacks, most, transient
+    real(dp) :: lacks, most, transient, ages(2), times
     integer :: at, worst_at
 
     text = ''
@@ -87,9 +90,17 @@ contains
     text = 'currents lack about '//percent_text(most)//' %'
     if (point_text(plan, worst_at, '') /= '') text = text//', most at '//point_text(plan, &
       worst_at, '')
-    text = text//': circulations still build up; for 0.25 % a transient of ' &
-      //to_text(nint(transient, int64))//', then '//to_text(nint(measured*transient, int64)) &
-      //' measured'
+    text = text//': circulations still build up'
+    ages = ages_measured(plan, point_of(plan, worst_at))
+    times = (1.0_dp + measured)*transient/max(ages(2), tiny(1.0_dp))
+    if (times > most_times) then
+      text = text//', and a run that is old enough would cost more than ' &
+        //to_text(nint(most_times))//' times this one; compare with theory at the age of the run'
+    else
+      text = text//'; &run transient_duration = '//to_text(nint(transient, int64)) &
+        //', duration = '//to_text(nint((1.0_dp + measured)*transient, int64)) &
+        //' would lack 0.25 % ('//to_text(max(nint(times), 1))//' times the cost)'
+    end if
   end function current_remark
 
   !> First and last age, since the start, of the averages of a run of this plan at a point. The mean

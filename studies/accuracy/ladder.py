@@ -11,13 +11,15 @@ import numpy as np
 
 from postproc.advice.advice import transition_between as transition
 from postproc.advice.model_errors import BATTERY
-from postproc.reading.results import Results
+from postproc.reading.grid import open_results
+from postproc.reading.points import Points
 from postproc.theory.circuit import eta
 from postproc.theory.direction import transfer
 from postproc.theory.models import MODELS
 from postproc.theory.ports import mean_stay
 from postproc.theory.returns import return_chance
 from postproc.theory.visits import unit_disc
+from studies.common.numbers import mean_of, transition_of
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -133,39 +135,44 @@ def eta_seconds(circuit: Circuit = BATTERY, calls: int = 200) -> float:
 
 def battery_answers(path: Path) -> dict[str, Answer]:
     """Return chi and net current of a file with one point; errors from its replicas alone."""
-    with Results(path) as results:
-        done = results.done[0]
-        seconds = float(results.value("cpu_seconds")[0][done].sum())
-        values = {
-            "chi": results.value("chi")[0][done],
-            # signed: the run begins with urn 2 full, whose battery drives 1 -> 2 in channel 1
-            "current": results.value("current1")[0][done],
-        }
-    return {name: Answer(*mean_of(value), seconds) for name, value in values.items()}
+    results = Points(open_results(path))
+    done = results.done[0]
+    seconds = float(results.value("cpu_seconds")[0][done].sum())
+    values = {
+        "chi": results.value("chi")[0][done],
+        # signed: the run begins with urn 2 full, whose battery drives 1 -> 2 in channel 1
+        "current": results.value("current1")[0][done],
+    }
+    return {name: Answer(*map(float, mean_of(value)), seconds) for name, value in values.items()}
 
 
 def transition_answer(path: Path) -> tuple[Answer, dict[str, list[float]]]:
-    """Return the transition of a file with a scan of T, and chi there.
-
-    The error is that of replicas: one is left out at a time (jackknife).
-    """
-    with Results(path) as results:
-        threshold, chi = results.value("threshold"), results.value("chi")
-        seconds = float(results.value("cpu_seconds").sum())
-    count = chi.shape[1]
-    value = transition(threshold, chi.mean(axis=1))
-    without = np.array(
-        [transition(threshold, np.delete(chi, k, axis=1).mean(axis=1)) for k in range(count)]
-    )
-    error = math.sqrt((count - 1) / count * np.sum((without - without.mean()) ** 2))
-    spread = chi.std(axis=1, ddof=1) / math.sqrt(count)
+    """Return the transition of a file with a scan of T, and chi there."""
+    results = Points(open_results(path))
+    threshold, chi = results.value("threshold"), results.value("chi")
+    seconds = float(results.value("cpu_seconds").sum())
+    value, error = transition_of(threshold, chi)
+    spread = chi.std(axis=1, ddof=1) / math.sqrt(chi.shape[1])
     shown = {"threshold": threshold, "chi": chi.mean(axis=1), "chi_error": spread}
     return Answer(value, error, seconds), {name: list(one) for name, one in shown.items()}
 
 
-def mean_of(values: Floats) -> tuple[float, float]:
-    """Return mean and standard error of independent values."""
-    return float(values.mean()), float(values.std(ddof=1) / math.sqrt(values.size))
+def shares(chi: Floats, current: Floats) -> tuple[Floats, ...]:
+    """Return chi and current over chi of points, shape (point, replica), and the errors of both.
+
+    NaN: errors of one replica, and the share at chi = 0.
+    """
+    mean, count = chi.mean(axis=1), chi.shape[1]
+    ratio = current.mean(axis=1) / np.where(mean > 0.0, mean, math.nan)
+    if count == 1:
+        return mean, ratio, *[np.full(mean.size, math.nan)] * 2
+    left = (current - ratio[:, None] * chi) / mean[:, None]
+    return mean, ratio, *(one.std(axis=1, ddof=1) / math.sqrt(count) for one in (chi, left))
+
+
+def least_cost(line: dict, quantity: str) -> float:
+    """Return the CPU time of one short run (of each T of the transition)."""
+    return line["per_time"] * SHORTEST * (len(SCANNED) if quantity == "transition" else 1)
 
 
 def stem(rung: Rung) -> str:
@@ -180,8 +187,8 @@ def engine_keys(rung: Rung) -> dict[str, object]:
 
 def seconds_per_time(path: Path) -> float:
     """Return the CPU time of a run per unit of time, in s."""
-    with Results(path) as results:
-        return float(results.value("cpu_seconds").sum() / results.value("time").sum())
+    results = Points(open_results(path))
+    return float(results.value("cpu_seconds").sum() / results.value("time").sum())
 
 
 def run_rung(study: Study, rung: Rung, seconds: float) -> tuple[dict[str, Answer], dict, float]:

@@ -18,8 +18,9 @@ import numpy as np
 
 from postproc.advice.advice import HALFWAY
 from postproc.advice.transients import of_chi
-from postproc.reading.results import Results
-from studies.accuracy import ladder, ladder_map_figure
+from postproc.reading.grid import open_results
+from postproc.reading.points import Points
+from studies.accuracy import charts, ladder
 from studies.accuracy.ladder import BATTERY, LONGER, QUANTITIES, RUNGS
 from studies.accuracy.ladder_errors import SURE, TOLERANCES, cancelling, cheapest
 from studies.common.text import number, percent, seconds
@@ -133,19 +134,14 @@ def run_points(
 
 def _read(path: Path, transient: float) -> Floats:
     """Return the fields of `Told` of a file, shape (field, point)."""
-    with Results(path) as results:
-        names = ("chi", "polarised_current", "cpu_seconds", "time")
-        chi, current, seconds, time = (results.value(name) for name in names)
-    count = chi.shape[1]
-    mean = chi.mean(axis=1)
-    ratio = current.mean(axis=1) / np.where(mean > 0.0, mean, math.nan)
-    errors = [np.full(mean.size, math.nan)] * 2
-    if count > 1:
-        left = (current - ratio[:, None] * chi) / mean[:, None]
-        errors = [one.std(axis=1, ddof=1) / math.sqrt(count) for one in (chi, left)]
-    waited = np.full(mean.size, transient)
+    results = Points(open_results(path))
+    names = ("chi", "polarised_current", "cpu_seconds", "time")
+    chi, current, seconds, time = (results.value(name) for name in names)
+    count, waited = chi.shape[1], np.full(len(chi), transient)
     per_time = seconds.sum(axis=1) / time.sum(axis=1)
-    return np.array([mean, ratio, *errors, per_time, time.sum(axis=1) - count * waited, waited])
+    return np.array(
+        [*ladder.shares(chi, current), per_time, time.sum(axis=1) - count * waited, waited]
+    )
 
 
 def scatter(truth: Told) -> Told:
@@ -324,4 +320,4 @@ def run(study: Study) -> None:
     }
     study.keep("ladder_map", numbers)
     tables(study, numbers)
-    study.draw(ladder_map_figure.figure(rows), "ladder_map")
+    study.draw(charts.figure_map(rows), "ladder_map")

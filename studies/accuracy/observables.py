@@ -14,40 +14,19 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from postproc.advice import transients
-from postproc.figures import style
-from postproc.reading.results import Results
-from postproc.theory.models import MODELS
-from studies.accuracy import ladder
+from postproc.reading.grid import open_results
+from postproc.reading.points import Points
+from studies.accuracy import charts, ladder
 from studies.accuracy.ladder import QUANTITIES, Answer
+from studies.common.numbers import with_errors
 from studies.common.text import measured, number, seconds
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-
     from studies.common.study import Study
 
-NAMES = {
-    "chi": r"$\chi$ at $T = 7$",
-    "current": "net current at $T = 7$",
-    "transition": "$T$ of the upper transition",
-}
-# end of a line at which its step is written, and side of the line
-STEP_LABELS = {
-    "timestep 0.1": (-1, "right", "bottom"), "timestep 0.03": (0, "left", "bottom"),
-    "timestep 0.01": (-1, "right", "top"), "timestep 0.003": (0, "left", "bottom"),
-    "timestep 0.001": (0, "left", "bottom"),
-}  # fmt: skip
-# of engines: discs, squares and triangles; theories are crosses and stars (`theory.models`)
-LOOKS = {
-    "excursion": ("o", style.BLUE), "collision": ("s", style.SKY),
-    "synchronous": ("D", style.BLACK), "reservoir": ("^", style.GREEN),
-}  # fmt: skip
-STEPPED = (">", style.GREY)  # timestep, whatever its step
-WIDE = {"collision": 8.0, "synchronous": 4.0}  # sizes of marks that coincide, one inside the other
 # Net currents of other sets of runs of this length (docs/theory.md#circulation): mean, error, total
 # time.
 OTHER_SETS = ((1.0147, 0.0015, 2.4e7), (1.0165, 0.0021, 4.0e7))
@@ -66,9 +45,9 @@ def long_runs(study: Study) -> Path:
 
 def total_time(path: Path) -> float:
     """Return the total measured time of runs."""
-    with Results(path) as results:
-        past = results.value("transient_time")
-        return float((results.value("time") - past)[results.done].sum())
+    results = Points(open_results(path))
+    past = results.value("transient_time")
+    return float((results.value("time") - past)[results.done].sum())
 
 
 def reference(study: Study) -> dict[str, Answer]:
@@ -121,19 +100,11 @@ def averages(study: Study) -> list[dict[str, float]]:
         "particles": {"urn1_number": 500},
     }
     rows = []
-    with Results(study.run("battery", "averages", changes)) as results:
-        for point, threshold in enumerate(AVERAGED):
-            time, hits = (results.value(name)[point] for name in ("chi", "chi_collision"))
-            (chi, error), (less, its) = ladder.mean_of(time), ladder.mean_of(hits - time)
-            rows.append(
-                {
-                    "threshold": threshold,
-                    "chi": chi,
-                    "error": error,
-                    "less": less,
-                    "less_error": its,
-                }
-            )
+    results = Points(open_results(study.run("battery", "averages", changes)))
+    for point, threshold in enumerate(AVERAGED):
+        time, hits = (results.value(name)[point] for name in ("chi", "chi_collision"))
+        seen = with_errors(chi=time, less=hits - time)
+        rows.append({"threshold": threshold, "error": seen.pop("chi_error"), **seen})
     return rows
 
 
@@ -152,79 +123,6 @@ def row(name: str, kind: str, answers: dict[str, Answer], truth: dict[str, Answe
             "relative_error": one.error / true.value,
         }  # fmt: skip
     return line
-
-
-def least_cost(line: dict, quantity: str) -> float:
-    """Return the CPU time of one short run (of each T of the transition)."""
-    runs = len(ladder.SCANNED) if quantity == "transition" else 1
-    return line["per_time"] * ladder.SHORTEST * runs
-
-
-def look(line: dict) -> tuple[str, str]:
-    """Return mark and colour of a rung."""
-    if model := MODELS.get(line["name"]):
-        return model.mark, style.colour(model.colour)
-    return LOOKS.get(line["name"], STEPPED)
-
-
-def figure_observables(rows: Sequence[dict]) -> Figure:
-    """Return chart two: relative error against CPU time, a panel for each quantity.
-
-    Filled marks: the bias, with its error; if it is not significantly above zero, its upper bound
-    as an open mark with an arrow. Lines: expected error of that rung for that time.
-    """
-    made = style.figure(style.PAGE, 3.9)
-    panels = made.subplots(1, len(QUANTITIES), sharey=True)
-    for axes, quantity in zip(panels, QUANTITIES, strict=True):
-        for line in rows:
-            _draw_rung(axes, line, quantity)
-        axes.set_xscale("log")
-        axes.set_yscale("log")
-        axes.set_xlim(5e-4, 5e3)
-        axes.set_ylim(5e-5, 2.0)
-        axes.set_xlabel("CPU time (s)")
-        axes.set_title(NAMES[quantity], fontsize=8.5)
-    panels[0].set_ylabel("relative error")
-    for line in rows:
-        mark, colour = look(line)
-        if not line["name"].startswith("timestep"):
-            panels[0].plot([], [], mark, color=colour, label=ladder.label(line["name"]))
-    explain(panels[0])
-    made.legend(loc="outside upper center", ncols=4, fontsize=7)
-    return made
-
-
-def explain(axes: Axes) -> None:
-    """Add the marks and lines of both charts to a legend."""
-    mark, colour = STEPPED
-    axes.plot([], [], mark, color=colour, label="timestep, step beside it")
-    axes.plot([], [], marker=r"$\downarrow$", mew=0.0, ms=7, ls="none", color=style.BLACK,
-              label="open, with arrow: a bound")  # fmt: skip
-    axes.plot([], [], "-", color=style.BLACK, lw=0.8, label="line: to be expected of a run")
-
-
-def _draw_rung(axes: Axes, line: dict, quantity: str) -> None:
-    one, (mark, colour) = line[quantity], look(line)
-    if one["bias"] is None or not math.isfinite(one["bias"]):
-        return
-    size, error, at = abs(one["bias"]), one["bias_error"], one["seconds"]
-    if size > 2.0 * error:
-        axes.errorbar([at], [size], [error], fmt=mark, color=colour, ms=5)
-    else:
-        top = size + error
-        style.bound(axes, at, top, mark, colour, WIDE.get(line["name"], 5.0))
-    if line["kind"] == "theory":
-        return
-    times = np.geomspace(min(least_cost(line, quantity), at), 100.0 * at, 60)
-    bias = 0.0 if line["kind"] == "exact" else size
-    expected = np.hypot(bias, one["relative_error"] * np.sqrt(at / times))
-    axes.plot(times, expected, "-", color=colour, lw=0.8)
-    if line["name"] in STEP_LABELS:
-        end, across, along = STEP_LABELS[line["name"]]
-        axes.text(
-            times[end], expected[end], line["name"].split()[1], fontsize=6, color=colour,
-            ha=across, va=along,
-        )  # fmt: skip
 
 
 def _with_bias(one: dict) -> str:
@@ -273,4 +171,4 @@ def run(study: Study) -> None:
     }  # fmt: skip
     study.keep("observables", numbers)
     tables(study, rows, numbers["averages"])
-    study.draw(figure_observables(rows), "observables")
+    study.draw(charts.figure_observables(rows), "observables")

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import itertools
 from typing import TYPE_CHECKING, Any
 
 from postproc.theory import outlines
-from studies.accuracy.stability import BITS
-from studies.common.probes import EPSILON, Question, ask
 from studies.common.text import number
+from studies.common.visits import compared_visits
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -28,33 +26,15 @@ POLYGONS: dict[str, Outline] = {
 }  # fmt: skip
 
 
-def questions(study: Study) -> tuple[list[Question], list[Question]]:
-    """Return the visits in each precision, then the same compared with real128."""
-    own, compared = [], []
-    count = str(int(study.pick(1e5, 1e6)))
-    for (k, outline), (precision, bits) in itertools.product(
-        enumerate(POLYGONS.values()), BITS.items()
-    ):
-        corners = ",".join(repr(float(one)) for corner in outline for one in corner)
-        words = ("visits", corners, *WIDTHS, count, str(bits))
-        name = f"polygons-{k}-{precision}"
-        own.append(Question(name, precision, (*words, f"{name}.bin"), 3600))
-        words = (*words, f"{name}-real128.bin", f"{name}.bin")
-        compared.append(Question(f"{name}-real128", "real128", words, 36000))
-    return own, compared
-
-
 def run(study: Study) -> None:
     """Run the probes, and store the errors of each precision for each polygon."""
-    own, compared = questions(study)
-    ask(study, own, exact=False)
-    differences = ask(study, compared, exact=False)
-    cases = itertools.product(POLYGONS, BITS)
-    rows = [
-        {"urn": urn, "input": precision, "unit": EPSILON[precision]}
-        | {key: value for key, value in line.items() if key != "histogram"}
-        for (urn, precision), (line,) in zip(cases, differences, strict=True)
-    ]
+    words = {
+        urn: (",".join(repr(float(one)) for corner in outline for one in corner), *WIDTHS)
+        for urn, outline in POLYGONS.items()
+    }
+    rows = compared_visits(study, "polygons", words, study.pick(1e5, 1e6))
+    for row in rows:
+        del row["histogram"]
     study.keep("polygons", {"visits": rows})
     table(study, rows)
 

@@ -10,7 +10,8 @@ import numpy as np
 
 from postproc.figures import style
 from studies.common import text
-from studies.common.probes import EPSILON, PRECISIONS, Answer, Question, ask
+from studies.common.probes import PRECISIONS, Answer, Question, ask
+from studies.common.visits import BITS, compared_visits
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -32,7 +33,6 @@ COLLISIONS = {
 }  # fmt: skip
 FULL = 100
 VISITS = ((0.3, 0.01), (1e-6, 1e-6))  # w, w'
-BITS = {"real32": 23, "real64": 52}  # mantissa bits of the entries
 REQUIRED = 1e-12  # required error of a visit in real64, over its condition number
 
 
@@ -214,21 +214,6 @@ def summary(answers: dict[tuple[str, str], Answer]) -> dict[str, Any]:
     return made
 
 
-def visit_questions(study: Study) -> list[Question]:
-    """Return the visits in real32 and real64, then the comparisons in real128."""
-    own, compared = [], []
-    for precision, bits in BITS.items():
-        for width1, width2 in VISITS:
-            name = f"visits-{precision}-{width1:g}"
-            count = str(int(study.pick(1e6, 1e7)))
-            words = ("visits", "disc", str(width1), str(width2), count, str(bits))
-            own.append(Question(name, precision, (*words, f"{name}.bin"), 3600))
-            reference = f"visits-real128-for-{precision}-{width1:g}"
-            words = (*words, f"{reference}.bin", f"{name}.bin")
-            compared.append(Question(reference, "real128", words, 36000))
-    return own + compared
-
-
 def figure_visits(rows: Sequence[Row]) -> Figure:
     """Draw the errors of single visits over their condition number, in units of the precision."""
     made = style.figure(style.COLUMN * 1.4, 3.0)
@@ -260,16 +245,11 @@ def run(study: Study) -> None:
                  study.pick(900, 90000))
         for engine, precision in pairs
     ]  # fmt: skip
-    visits = visit_questions(study)
-    half = len(visits) // 2
-    ask(study, visits[:half], exact=False)
-    differences = ask(study, visits[half:], exact=False)
+    words = {f"{one:g}": ("disc", str(one), str(other)) for one, other in VISITS}
+    compared = compared_visits(study, "visits", words, study.pick(1e6, 1e7))
     answers = dict(zip(pairs, ask(study, questions), strict=True))
     rows = table(answers)
-    compared = [
-        {**lines[0], "input": precision, "unit": EPSILON[precision]}
-        for lines, precision in zip(differences, np.repeat(list(BITS), len(VISITS)), strict=True)
-    ]
+    compared.sort(key=lambda row: BITS[row["input"]])
     numbers = {"table": rows, "summary": summary(answers), "visits": compared}
     study.keep("stability", numbers)
     tables(study, rows, compared)

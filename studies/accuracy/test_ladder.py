@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-import csv
-import json
 import math
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import numpy as np
 import pytest
 
 from postproc.theory.models import MODELS
 from studies.accuracy import ladder
-from studies.accuracy.observables import by_time, figure_observables, lacking, row, tables
+from studies.accuracy.observables import by_time, lacking
 from studies.common.study import Study
 
 if TYPE_CHECKING:
@@ -82,12 +79,6 @@ def test_memory_of_the_urns_moves_the_transition(tmp_path: Path) -> None:
     assert abs(found["reservoir"].value - 15.59) < 5.0 * found["reservoir"].error
 
 
-def test_transition_is_where_chi_falls_through() -> None:
-    assert ladder.transition([14, 15, 16], [0.5, 0.4, 0.2]) == pytest.approx(15.5)
-    assert ladder.transition([1, 2, 3, 4], [0.1, 0.9, 0.5, 0.1]) == pytest.approx(3.5)
-    assert math.isnan(ladder.transition([1, 2], [0.2, 0.1]))
-
-
 def test_theory_with_memory_finds_the_billiard() -> None:
     spread, flow = ladder.ask(MODELS["direction"], ladder.BATTERY)
     assert spread == pytest.approx(SPREAD, abs=0.002)
@@ -106,38 +97,3 @@ def test_short_runs_lack_what_the_theory_has_in_later_rounds() -> None:
     short = lacking(8 * 19000 * 1e-4, 1e-4, SPREAD)
     assert short == pytest.approx(0.011, abs=0.001)
     assert lacking(8 * 480000 * 1e-4, 1e-4, SPREAD) < 0.1 * short
-
-
-def _line(kind: str, value: float, error: float, seconds: float) -> dict:
-    answers = {name: ladder.Answer(value, error, seconds) for name in ladder.QUANTITIES}
-    truth = {name: ladder.Answer(1.0, 0.0, 1.0) for name in ladder.QUANTITIES}
-    return {**row(kind, kind, answers, truth), "per_time": 1e-6}
-
-
-def test_chart_two_draws_every_rung(tmp_path: Path) -> None:
-    rows = [
-        _line("theory", 0.95, 0.0, 1e-3), _line("exact", 1.001, 0.02, 10.0),
-        _line("model", math.nan, math.nan, 10.0),
-    ]  # fmt: skip
-    made = figure_observables(rows)
-    assert len(made.axes) == len(ladder.QUANTITIES)
-    made.savefig(tmp_path / "chart.png")
-    assert (tmp_path / "chart.png").stat().st_size > 10000
-    low, high = made.axes[0].get_ylim()
-    assert low > 0.0
-    assert np.isfinite(high)
-
-
-def test_tables_have_every_rung_and_average(tmp_path: Path) -> None:
-    """Of kept numbers of a quick run; a rung without a transition says so."""
-    kept = json.loads((HERE / "accuracy_numbers.json").read_text())["observables"]
-    for line in kept["rows"]:
-        if line["transition"]["value"] is None:
-            line["transition"]["value"] = math.nan
-    tables(Study(tmp_path), kept["rows"], kept["averages"])
-    with (tmp_path / "rungs.csv").open() as file:
-        rows = {row["rung"]: row for row in csv.DictReader(file)}
-    assert list(rows) == [ladder.label(line["name"]) for line in kept["rows"]]
-    assert rows["timestep 0.01"]["transition T (bias)"] == "none from 14 to 18"
-    assert "+-" in rows["excursion"]["chi, T = 7 (bias)"]
-    assert len((tmp_path / "averages.csv").read_text().splitlines()) == 1 + len(kept["averages"])

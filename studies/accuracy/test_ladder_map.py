@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import itertools
 import json
 import math
@@ -16,7 +15,7 @@ from postproc.advice.advice import HALFWAY
 from postproc.theory.circuit import Circuit
 from postproc.theory.models import MODELS
 from postproc.theory.states import State, Theory
-from studies.accuracy import ladder, ladder_errors, ladder_map, ladder_map_figure
+from studies.accuracy import ladder, ladder_errors, ladder_map
 from studies.accuracy.ladder_map import Told
 from studies.common.study import Study
 
@@ -154,17 +153,3 @@ def test_runs_wait_as_long_as_it_takes(tmp_path: Path, monkeypatch: pytest.Monke
     assert np.isnan(single.chi_error).all()
     known = ladder_map.with_errors(single, ladder_map.scatter(found))
     assert known.chi_error == pytest.approx(found.chi_error * math.sqrt(3.0))
-
-
-def test_page_and_chart_show_every_rung(tmp_path: Path) -> None:
-    ladder_map.tables(Study(tmp_path), KEPT)
-    with (tmp_path / "map_rungs.csv").open() as file:
-        rows = list(csv.DictReader(file))
-    assert [row["rung"] for row in rows] == [ladder.label(row["name"]) for row in KEPT["rows"]]
-    text = (tmp_path / "map_rungs.csv").read_text() + (tmp_path / "map_choice.csv").read_text()
-    assert "None" not in text
-    assert "nan" not in text
-    made = ladder_map_figure.figure(KEPT["rows"])
-    assert len(made.axes) == len(ladder.QUANTITIES)
-    made.savefig(tmp_path / "chart.png")
-    assert (tmp_path / "chart.png").stat().st_size > 10000

@@ -24,6 +24,8 @@ from postproc.theory.circuit import Circuit
 from postproc.theory.direction import transfer
 from postproc.theory.visits import visits
 from studies.common import study
+from studies.common.numbers import mean_of
+from studies.common.visits import visits_of
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -33,21 +35,6 @@ if TYPE_CHECKING:
 COUNT = 4_000_000
 PAIRS = ((0.3, 0.01), (0.1, 0.05), (0.03, 0.003), (0.01, 0.01), (0.001, 0.0005), (0.003, 0.03))
 BITS = 52  # of a random number
-GOLDEN = np.uint64(2**64 - 7046029254386353131)
-FACTORS = (np.uint64(2**64 - 4658895280553007687), np.uint64(2**64 - 7723592293110705685))
-
-
-def _mixed(word: NDArray[np.uint64]) -> NDArray[np.uint64]:
-    """Return SplitMix64 of words, as in src/base/random.f90."""
-    for shift, factor in zip((30, 27), FACTORS, strict=True):
-        word = (word ^ (word >> np.uint64(shift))) * factor
-    return word ^ (word >> np.uint64(31))
-
-
-def hashed_uniform(key: NDArray[np.uint64], count: int) -> Floats:
-    """Return the random numbers in (0, 1) from which the probe draws its entries."""
-    word = _mixed(_mixed(key) + np.array([GOLDEN]) * np.uint64(count))
-    return ((word >> np.uint64(64 - BITS)).astype(float) + 0.5) * 0.5**BITS
 
 
 def drawn(width1: float, width2: float, count: int) -> dict[str, Floats]:
@@ -61,18 +48,11 @@ def drawn(width1: float, width2: float, count: int) -> dict[str, Floats]:
         words = ["visits", "disc", repr(width1), repr(width2), str(count), str(BITS), str(path)]
         program = study.ROOT / "build/bin/accuracy-real64"
         subprocess.run([program, *words], check=True, stdout=subprocess.DEVNULL)
-        found = np.fromfile(path).reshape(-1, 6)
-    key = np.arange(1, count + 1, dtype=np.uint64)
-    second = (width1 + width2) * hashed_uniform(key, 1) >= width1
-    sine = np.abs(2.0 * hashed_uniform(key, 2) - 1.0)
-    ended = found[:, 0] != 0.0  # truncated visits are left out: less than 1 in 1e6
-    into, out = second[ended].astype(int), (found[ended, 0] < 0.0).astype(int)
-    return {"into": into, "out": out, "sine": sine[ended], "out_sine": np.abs(found[ended, 3]),
-            "stay": found[ended, 4]}  # fmt: skip
-
-
-def _mean(values: Floats) -> tuple[float, float]:
-    return float(values.mean()), float(values.std() / math.sqrt(values.size))
+        found = visits_of(path)
+        found = np.array(found[:, found[0] != 0.0])  # but truncated ones, less than 1 in 1e6
+    into, out = ((found[one] < 0.0).astype(int) for one in (6, 0))
+    return {"into": into, "out": out, "sine": np.abs(found[7]), "out_sine": np.abs(found[3]),
+            "stay": found[4]}  # fmt: skip
 
 
 def _change(sine: Floats, other: Floats) -> Floats:
@@ -86,18 +66,18 @@ def measured(found: dict[str, Floats], width1: float) -> dict[str, tuple[float, 
     second = math.sqrt(5.0) * (1.5 * np.stack([found["sine"], found["out_sine"]]) ** 2 - 0.5)
     product = second[0] * second[1]
     values = {
-        "a": _mean(out[into == 1] == 1),
-        "P11": _mean(out[into == 0] == 0),
-        "t1": _mean(found["stay"][into == 0]),
-        "t2": _mean(found["stay"][into == 1]),
+        "a": mean_of(out[into == 1] == 1),
+        "P11": mean_of(out[into == 0] == 0),
+        "t1": mean_of(found["stay"][into == 0]),
+        "t2": mean_of(found["stay"][into == 1]),
     }
     back = (into == 0) & (out == 0)
     change = _change(found["sine"][back], found["out_sine"][back])
-    values["D"] = _mean(0.5 * (change / width1) ** 2)
+    values["D"] = mean_of(0.5 * (change / width1) ** 2)
     for one in (0, 1):
         for other in (0, 1):
             went = np.where(out[into == one] == other, product[into == one], 0.0)
-            values[f"K{one + 1}{other + 1}"] = _mean(went)
+            values[f"K{one + 1}{other + 1}"] = mean_of(went)
     return values
 
 

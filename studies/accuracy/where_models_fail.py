@@ -16,6 +16,7 @@ import numpy as np
 
 import postproc
 from postproc.figures import style
+from postproc.theory.models import MODELS
 from studies.accuracy import ladder
 
 if TYPE_CHECKING:
@@ -28,7 +29,6 @@ if TYPE_CHECKING:
 POLARISED = 0.3  # chi above which a state is called so
 BOUNDS = (0.01, 0.03, 0.1)
 COLOURS = ("tab:green", "gold", "tab:orange", "tab:red")
-THEORIES = [model.name for model in ladder.theories()]
 QUICK = (4, 10, 16)  # thresholds of quick runs
 # changes of the map for an engine: a fixed step costs a hundred times as much
 COARSE = {"threshold": [4, 6, 8, 10, 12, 14, 16], "replicas": 1}
@@ -56,21 +56,15 @@ def run_map(work: Study, engine: str | None = None) -> Path:
     return work.run(groups, name, {"run": groups["run"] | run, "scan": groups["scan"] | scan})
 
 
-def of_runs(file: Path) -> tuple[Points, Points]:
+def of_runs(file: Path) -> list[Points]:
     """Return chi and current over chi by (T, w'), and the standard errors of both."""
-    data, means, errors = postproc.open_results(file), {}, {}
-    for threshold in data.threshold.to_numpy():
-        for width in data.channel2_width.to_numpy():
-            here = data.sel(threshold=threshold, channel2_width=width)
-            chi, current = here.chi.to_numpy(), here.polarised_current.to_numpy()
-            at, spread = (int(threshold), float(width)), float(chi.mean())
-            share = float(current.mean()) / spread
-            means[at] = spread, share
-            if chi.size > 1:
-                left = (current - share * chi) / spread
-                root = math.sqrt(chi.size)
-                errors[at] = float(chi.std(ddof=1)) / root, float(left.std(ddof=1)) / root
-    return means, errors
+    data = postproc.open_results(file).stack(point=("threshold", "channel2_width"))
+    runs = (data[name].transpose("point", "replica").to_numpy()
+            for name in ("chi", "polarised_current"))  # fmt: skip
+    places = [(int(threshold), float(width)) for threshold, width in data.point.to_numpy()]
+    chi, share, *errors = (one.tolist() for one in ladder.shares(*runs))
+    return [dict(zip(places, zip(*both, strict=True), strict=True))
+            for both in ((chi, share), errors)]  # fmt: skip
 
 
 def theory_at(work: Study, model: str, points: list[tuple[int, float]]) -> Points:
@@ -90,7 +84,7 @@ def of_theory(model: str, points: list[tuple[int, float]]) -> Points:
     found = {}
     for at in points:
         circuit = replace(ladder.BATTERY, threshold=at[0], channel2_width=at[1])
-        stable = THEORIES[model].solve_stable(circuit)
+        stable = MODELS[model].solve_stable(circuit)
         state = max(stable, key=lambda one: one.mass_spread, default=None)
         chi, current = (state.mass_spread, state.net_current) if state else (0.0, 0.0)
         found[at] = chi, abs(current) / chi if chi > 0.0 else math.nan
@@ -192,14 +186,9 @@ def table(rows: list[dict[str, float | str]]) -> list[str]:
 def run(work: Study) -> None:
     """Make the table and the picture of the page; print the numbers of points within bounds."""
     truth, errors = of_runs(run_map(work))
-    answers = {name: theory_at(work, name, [*truth]) for name in THEORIES}
+    answers = {name: theory_at(work, name, [*truth]) for name in ladder.THEORIES}
     answers |= {name: of_runs(run_map(work, name))[0] for name in LENGTHS}
     rows = rows_of(truth, errors, answers)
-    work.table("where_models_fail", list(rows[0]),
-               [[_text(one) for one in row.values()] for row in rows])  # fmt: skip
+    work.rows("where_models_fail", rows)
     work.draw(figure(rows), "where_models_fail")
     print(*table(rows), sep="\n")
-
-
-def _text(value: object) -> str:
-    return f"{value:.5g}" if isinstance(value, float) else str(value)

@@ -18,6 +18,7 @@ import numpy as np
 import postproc
 from postproc.figures import style
 from studies.common import study
+from studies.common.numbers import bars, with_errors
 from studies.common.theories import told
 
 if TYPE_CHECKING:
@@ -64,9 +65,8 @@ def rows_of(work: study.Study, name: str) -> list[dict[str, object]]:
                "w2": groups["table"]["channel2_width"], "from": low, "to": high,
                "theory": predicted["net_current"], "replicas": first.shape[0]}  # fmt: skip
         for quantity, values in (("current", current), ("chi", spread)):
-            own = np.nanmean(values[:, here], axis=1)  # a run may end just before its last entry
-            row[quantity] = own.mean()
-            row[f"{quantity}_error"] = own.std(ddof=1) / math.sqrt(own.size)
+            # a run may end just before its last entry
+            row |= with_errors(**{quantity: np.nanmean(values[:, here], axis=1)})
         found.append(row)
     return found
 
@@ -81,11 +81,10 @@ def figure(rows: list[dict[str, object]]) -> Figure:
         label = f"T = {own[0]['T']}, w' = {own[0]['w2']:g}"
         for axes, quantity in zip(panels, ("current", "chi"), strict=True):
             last = own[-1][quantity]
-            axes.errorbar(
-                ages, [100.0 * (row[quantity] / last - 1.0) for row in own],
-                [100.0 * row[f"{quantity}_error"] / last for row in own],
-                fmt="osD"[at], ms=3.5, lw=1.0, color=f"C{at}", label=label,
-            )  # fmt: skip
+            error = f"{quantity}_error"
+            off = [{"off": 100.0 * (row[quantity] / last - 1.0), "off_error": 100.0 * row[error]
+                    / last} for row in own]  # fmt: skip
+            bars(axes, off, ages, "off", fmt="osD"[at], lw=1.0, color=f"C{at}", label=label)
         end = own[-1]["theory"]
         shown = [100.0 * (row["theory"] / end - 1.0) for row in own]
         panels[0].plot(ages, shown, "-", color=f"C{at}", lw=1.0)
@@ -103,10 +102,7 @@ def figure(rows: list[dict[str, object]]) -> Figure:
 def run(work: study.Study) -> None:
     """Run, write the table and the picture."""
     rows = [row for name in POINTS for row in rows_of(work, name)]
-    work.table("results", FIELDS, [
-        [f"{row[key]:.6g}" if isinstance(row[key], float) else str(row[key]) for key in FIELDS]
-        for row in rows
-    ])  # fmt: skip
+    work.rows("results", [{key: row[key] for key in FIELDS} for row in rows], 6)
     work.draw(figure(rows), "age_of_a_run")
 
 

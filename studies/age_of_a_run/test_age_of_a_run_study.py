@@ -23,7 +23,6 @@ def test_bins_are_whole_intervals_from_the_start_to_the_end() -> None:
     assert np.allclose(edges % 100.0, 0.0)
 
 
-@pytest.mark.usefixtures("theory_in_process")
 def test_rows_have_runs_and_theory_of_each_age(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

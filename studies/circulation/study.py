@@ -7,7 +7,6 @@ each, and few sets. --full: eight logs of 1e5, 24 sets.
 
 from __future__ import annotations
 
-import csv
 import math
 from dataclasses import dataclass
 from pathlib import Path
@@ -30,18 +29,17 @@ from studies.common.event_log import (
     particle_events,
     read_log,
 )
+from studies.common.numbers import bars, mean_of, read_table
 from studies.common.theories import THEORIES
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
     from numpy.typing import NDArray
 
     from postproc.theory.circulation import Straight
     from postproc.theory.states import State
-    from studies.common.event_log import Circuit as Table
     from studies.common.event_log import Log, ParticleEvents
 
     Floats = NDArray[np.float64]
@@ -105,7 +103,7 @@ def spread_of(log: Log, at_start: int, end: float) -> tuple[float, float]:
     return mean, float((number - mean) ** 2 @ lasting) / lasting.sum()
 
 
-def fates_of(events: ParticleEvents, rounds: Integers, circuit: Table) -> Integers:
+def fates_of(events: ParticleEvents, rounds: Integers, circuit: Circuit) -> Integers:
     """Return the fates of passages from urn 2 to urn 1, round by round, shape (fate, round).
 
     Rounds: 0 of what has not come straight, 1 ... `LAST`, and all beyond. Fates, of those that are
@@ -175,11 +173,6 @@ def kept(work: study.Study, name: str, made: Callable[[], Logs]) -> Logs:
     if work.kept(name) is None or work.afresh:
         work.keep(name, {key: np.asarray(one).tolist() for key, one in made().items()})
     return {key: np.array(one) for key, one in work.kept(name).items()}
-
-
-def mean_of(values: Floats) -> tuple[Floats, Floats]:
-    """Return mean and standard error over the first axis, of logs or draws."""
-    return values.mean(axis=0), values.std(axis=0, ddof=1) / math.sqrt(len(values))
 
 
 def reached(straight: Straight) -> Floats:
@@ -359,17 +352,11 @@ def gates(work: study.Study) -> list[Row]:
     return rows
 
 
-def read(path: Path) -> list[dict[str, str]]:
-    """Return the rows of a table of another page."""
-    with path.open(encoding="utf-8") as file:
-        return [*csv.DictReader(file)]
-
-
 def aged(work: study.Study) -> dict[str, Logs]:
     """Return currents by draw at the ages of *The age of a run*, and at others, for each T."""
     found = {}
     for threshold, width in AGED:
-        own = [row for row in read(AGES) if row["T"] == str(threshold)]
+        own = [row for row in read_table(AGES) if row["T"] == threshold]
         ages = [math.sqrt(float(row["from"]) * float(row["to"])) for row in own]
         ages += [*np.linspace(*EARLY, 25), *np.linspace(*LATE, 200), math.inf]
         circuit = MODELS["direction"].of(Case(threshold, width).circuit)
@@ -383,7 +370,7 @@ def by_age(work: study.Study) -> list[Row]:
     """Return currents of *The age of a run* beside those of theory at the age."""
     rows: list[Row] = []
     for threshold, events in aged(work).items():
-        own = [row for row in read(AGES) if row["T"] == threshold]
+        own = [row for row in read_table(AGES) if row["T"] == int(threshold)]
         said = mean_of(events["current"])
         rows += [{
             "T": threshold, "w'": row["w2"], "from": float(row["from"]), "to": float(row["to"]),
@@ -397,7 +384,7 @@ def by_age(work: study.Study) -> list[Row]:
 def by_width(work: study.Study) -> list[Row]:
     """Return currents of *The limit of narrow channels* beside those of theory at their age."""
     rows: list[Row] = []
-    for at, row in enumerate(one for one in read(WIDTHS) if one["current"]):
+    for at, row in enumerate(one for one in read_table(WIDTHS) if one["current"]):
         width, (one, other) = float(row["w"]), (int(row[key]) for key in ("T1", "T2"))
         circuit = MODELS["direction"].of(
             Circuit(int(row["N"]), one, width, channel2_width=float(row["ratio"]) * width,
@@ -464,12 +451,6 @@ def checks(work: study.Study, tables: dict[str, list[Row]]) -> list[Row]:
     return rows
 
 
-def marks(axes: Axes, x: Floats, rows: list[Row], names: tuple[str, str], **style: object) -> None:
-    """Draw values with errors of rows."""
-    value, error = (np.array([row[name] for row in rows]) for name in names)
-    axes.errorbar(x, value, error, ms=3.5, lw=0.8, mfc="none", **style)
-
-
 def figure(tables: dict[str, list[Row]]) -> Figure:
     """Return rounds over theory; currents by age; parts of currents; circulation by width."""
     made = style.figure(style.PAGE, 6.0)
@@ -479,8 +460,8 @@ def figure(tables: dict[str, list[Row]]) -> Figure:
         own = [row for row in tables["pooled"] if row["circuits"] == circuits
                and row["theory_counts"] > 16.0]  # fmt: skip
         rounds = 1.08 ** (at - 0.5) * np.array([float(row["rounds"]) for row in own])
-        names = "theory_ratio", "theory_error"
-        marks(reached, rounds, own, names, fmt="os"[at], color=f"C{at}", label=circuits)
+        bars(reached, own, rounds, "theory_ratio", "theory_error", fmt="os"[at], lw=0.8, mfc="none",
+             color=f"C{at}", label=circuits)  # fmt: skip
     reached.axhline(1.0, color="black", lw=0.8)
     reached.set(xscale="log", xlabel="round m", ylabel="m-th rounds, runs over theory",
                 ylim=(0.0, 1.5))  # fmt: skip
@@ -507,8 +488,8 @@ def figure(tables: dict[str, list[Row]]) -> Figure:
                 "error": 100.0 * math.hypot(row[f"{name}_error"], row[f"{name}_theory_error"])
                 / row["total_theory"]} for row in tables["split"]]  # fmt: skip
         label = {"straight": "by rounds of circulations"}.get(name, f"the {name}")
-        marks(parts, np.arange(len(own)) + 0.2 * (at - 1), own, ("off", "error"), fmt="os^"[at],
-              color=f"C{at}", label=label)  # fmt: skip
+        bars(parts, own, np.arange(len(own)) + 0.2 * (at - 1), "off", "error", fmt="os^"[at],
+             lw=0.8, mfc="none", color=f"C{at}", label=label)  # fmt: skip
     parts.axhline(0.0, color="black", lw=0.8)
     parts.set_xticks(range(len(names)), [_short(one) for one in names], rotation=35, ha="right",
                      fontsize=7)  # fmt: skip
@@ -516,9 +497,9 @@ def figure(tables: dict[str, list[Row]]) -> Figure:
     parts.legend(fontsize=7, frameon=False)
     for at, circuit in enumerate(NAMES):
         own = [row for row in tables["widths"] if row["circuit"] == circuit]
-        marks(wide, np.array([float(row["w"]) for row in own]) * 1.05 ** (at - 1.5), own,
-              ("circulating_over_theory", "its_error"), fmt="osD^"[at], color=f"C{at}",
-              label=NAMES[circuit])  # fmt: skip
+        bars(wide, own, np.array([row["w"] for row in own]) * 1.05 ** (at - 1.5),
+             "circulating_over_theory", "its_error", fmt="osD^"[at], lw=0.8, mfc="none",
+             color=f"C{at}", label=NAMES[circuit])  # fmt: skip
     wide.axhline(1.0, color="black", lw=0.8)
     wide.set(xscale="log", xlabel="w (r)", ylabel="circulating part, runs over theory",
              ylim=(0.0, 2.2))  # fmt: skip
@@ -540,12 +521,8 @@ def run(work: study.Study) -> None:
               "gates": gates(work), "ages": by_age(work), "widths": by_width(work)}  # fmt: skip
     tables["checks"] = checks(work, tables)
     for name, rows in tables.items():
-        work.table(name, list(rows[0]), [[_text(one) for one in row.values()] for row in rows])
+        work.rows(name, rows)
     work.draw(figure(tables), "circulation")
-
-
-def _text(value: float | str) -> str:
-    return f"{value:.5g}" if isinstance(value, float) else value
 
 
 if __name__ == "__main__":

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from postproc.theory import two_port
+from postproc.theory.circuit import Circuit
 from postproc.theory.models import MODELS
 from studies.circulation import study as circulation
 from studies.circulation.study import Case
 from studies.common.circulations import circulations
 from studies.common.event_log import CROSSING1, CROSSING2, ENTRY, REVERSAL, Log, particle_events
-from studies.common.event_log import Circuit as Table
 
 
 @pytest.mark.parametrize(
@@ -59,7 +59,7 @@ def test_what_is_turned_back_begins_anew() -> None:
 
 def test_each_passage_has_its_fate() -> None:
     """One particle: two rounds and a wall of urn 2; another is turned back in gate 1."""
-    table, start = Table(), 2000.0
+    table, start = Circuit(1000, 7), 2000.0
     across = sum(table.chords)
     first = [(0.0, CROSSING1, 12)]
     for at in range(2):  # through urn 2, channel 2, urn 1 and channel 1

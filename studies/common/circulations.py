@@ -20,7 +20,8 @@ from studies.common.event_log import CROSSING1, CROSSING2, ENTRY, outward_stays
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from studies.common.event_log import Circuit, Log, ParticleEvents
+    from postproc.theory.circuit import Circuit
+    from studies.common.event_log import Log, ParticleEvents
 
     Floats = NDArray[np.float64]
 
@@ -48,12 +49,12 @@ class Circulations:
 
 def straight_time(circuit: Circuit) -> float:
     """Return the time from the middle line to the periodic line along the axis."""
-    return sum(circuit.chords) + 0.5 * (circuit.channel1_length + circuit.channel2_length)
+    return float(sum(circuit.chords)) + 0.5 * (circuit.channel1_length + circuit.channel2_length)
 
 
 def steepest(circuit: Circuit) -> float:
     """Return the largest slope of a straight way through an urn from one channel to the other."""
-    return 0.5 * (circuit.channel1_width + circuit.channel2_width) / sum(circuit.chords)
+    return 0.5 * (circuit.channel1_width + circuit.channel2_width) / float(sum(circuit.chords))
 
 
 def circulations(events: ParticleEvents, circuit: Circuit) -> Circulations:

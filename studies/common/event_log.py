@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 import postproc
+from postproc.theory.circuit import Circuit
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -23,33 +23,6 @@ if TYPE_CHECKING:
 
 ENTRY, REVERSAL, CROSSING1, CROSSING2 = 1, 2, 3, 4  # kinds of events
 GROUPS = 10  # of particles, whose scatter gives an error
-
-
-@dataclass(frozen=True)
-class Circuit:
-    """Number of particles and lengths of a circuit whose urns are discs, as in the namelist."""
-
-    number: float = 1000
-    urn_radius: float = 1.0
-    channel1_width: float = 0.3
-    channel1_length: float = 1.0
-    channel2_width: float = 0.01
-    channel2_length: float = 1.0
-
-    @cached_property
-    def chords(self) -> tuple[float, float]:
-        """Distances of the openings' chords from the centre of an urn."""
-        widths = self.channel1_width, self.channel2_width
-        first, second = (math.sqrt(self.urn_radius**2 - 0.25 * width**2) for width in widths)
-        return first, second
-
-    @cached_property
-    def urn_area(self) -> float:
-        """Area A of an urn, up to the chords."""
-        area, halves = math.pi * self.urn_radius**2, (self.channel1_width, self.channel2_width)
-        for half, chord in zip((0.5 * width for width in halves), self.chords, strict=True):
-            area -= self.urn_radius**2 * math.asin(half / self.urn_radius) - half * chord
-        return area
 
 
 @dataclass(frozen=True)
@@ -94,7 +67,8 @@ def circuit_of(data: xr.Dataset) -> Circuit:
     """Return the circuit of results of one point."""
     names = ("number", "channel1_width", "channel1_length", "channel2_width", "channel2_length")
     radius = float(data.urn_radius.to_numpy().flat[0])
-    return Circuit(urn_radius=radius, **{name: float(data[name]) for name in names})
+    return Circuit(urn_radius=radius, threshold=int(data.threshold),
+                   **{name: float(data[name]) for name in names})  # fmt: skip
 
 
 def particle_events(log: Log) -> ParticleEvents:
@@ -134,12 +108,6 @@ def outward_stays(events: ParticleEvents) -> tuple[Integers, Floats, Floats]:
     start = np.concatenate([events.turned[turned], crossed])
     stop = 2.0 * start - np.concatenate([events.time[turned], events.time[through]])
     return gate, start, stop
-
-
-def mean_of_groups(values: Floats) -> tuple[float, float]:
-    """Return mean and standard error of values of independent groups or runs."""
-    known = np.asarray(values, float)
-    return float(known.mean()), float(known.std(ddof=1) / math.sqrt(known.size))
 
 
 def entries_of(events: ParticleEvents) -> tuple[Floats, NDArray[np.int64], Floats]:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from studies.common.event_log import Circuit
+from postproc.theory.circuit import Circuit
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -25,6 +25,11 @@ def area_of(corners: Sequence[Sequence[float]]) -> float:
     return 0.5 * float(np.sum(x * np.roll(y, -1) - y * np.roll(x, -1)))
 
 
+def urn_area(channel2_width: float, channel1_width: float = 0.3) -> float:
+    """Return the area of an urn, a disc of radius 1 up to the chords of its openings."""
+    return float(Circuit(1, 1, channel1_width, channel2_width).urn_area)
+
+
 def shapes(width: float) -> dict[str, dict[str, object]]:
     """Return the keys of `&table` by shape: all urns have the area of the disc of radius 1.
 
@@ -32,7 +37,7 @@ def shapes(width: float) -> dict[str, dict[str, object]]:
     ----------
     width : width of channel 2; channel 1 has 0.3.
     """
-    area = Circuit(channel2_width=width).urn_area
+    area = urn_area(width)
     stretch = math.sqrt(area / area_of(CROOKED))
     radii = {sides: math.sqrt(2.0 * area / (sides * math.sin(2.0 * math.pi / sides)))
              for sides in (4, 6)}  # fmt: skip

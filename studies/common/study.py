@@ -6,8 +6,6 @@ import argparse
 import csv
 import json
 import shutil
-import subprocess
-import sys
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -98,18 +96,6 @@ class Study:
         path = cli.existing_file(self.place / f"{namelist}.nml")
         return f90nml.Parser().reads(path.read_text(encoding="utf-8"))
 
-    def theory(self, model: str, **keys: object) -> dict[str, object]:
-        """Return the output of `python -m postproc.theory` for a circuit, given by its options."""
-        words = ["--model", model]
-        for key, value in keys.items():
-            values = value if isinstance(value, (list, tuple)) else [value]
-            words += [f"--{key.replace('_', '-')}", *([] if value is True else map(str, values))]
-        command = [sys.executable, "-m", "postproc.theory", *words]
-        done = subprocess.run(command, check=False, capture_output=True, text=True, cwd=ROOT)
-        if done.returncode:
-            raise cli.InputError(f"{' '.join(command[1:])}: {done.stderr.strip()}")
-        return json.loads(done.stdout)
-
     def keep(self, name: str, numbers: Mapping[str, object]) -> Path:
         """Write numbers to `folder/NAME.json` (NaN and infinity as null)."""
         path = cli.output_folder(self.folder) / f"{name}.json"
@@ -130,6 +116,13 @@ class Study:
         print(path)
         self._publish(path)
         return path
+
+    def rows(self, name: str, rows: Sequence[Mapping[str, object]], digits: int = 5) -> Path:
+        """Write rows of equal keys as a table, fractions with so many significant digits."""
+        return self.table(name, list(rows[0]), [
+            [f"{one:.{digits}g}" if isinstance(one, float) else str(one) for one in row.values()]
+            for row in rows
+        ])  # fmt: skip
 
     def draw(self, made: Figure, name: str) -> Path:
         """Write a picture of a page to `folder/NAME.png` and `NAME.pdf`."""

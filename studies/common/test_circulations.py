@@ -9,11 +9,12 @@ import numpy as np
 import pytest
 
 import postproc
+from postproc.theory.circuit import Circuit
 from studies.common import circulations
-from studies.common.event_log import Circuit, Log, circuit_of, particle_events, read_log
+from studies.common.event_log import Log, circuit_of, particle_events, read_log
 from studies.common.study import Study
 
-CIRCUIT = Circuit()
+CIRCUIT = Circuit(1000, 7)
 NAMELIST = Path(__file__).parents[1] / "circulation"  # has circuit.nml, one event log
 LATE = circulations.TRANSIENT + 1.0
 
@@ -98,13 +99,8 @@ def test_numbers_inside_follow_the_crossings() -> None:
     events = [(begin + 25.0, 4, 12, 1), (begin + 50.0, 1, 2, 1), (begin + 50.2, 2, 2, 1)]
     time, kind, where, particle = np.array(events).T
     log = Log(time, *(column.astype(int) for column in (kind, where, particle)))
-    one = Circuit(1)
+    one = Circuit(1, 1)
     first, second = circulations.urn_numbers(log, particle_events(log), one, 0, begin + 100.0)
     in_channel2 = 0.25 * math.pi / 100.0
     assert first == pytest.approx(0.25 - in_channel2)
     assert second == pytest.approx(0.75 - in_channel2 - 0.4 / 100.0)  # 0.2 in, and 0.2 out
-
-
-def test_area_of_an_urn_is_that_of_the_theory() -> None:
-    theory = Study(Path()).theory("window", number=10, threshold=1, channel2_width=0.2)
-    assert Circuit(channel2_width=0.2).urn_area == pytest.approx(theory["urn_area"], rel=1e-12)

@@ -12,8 +12,10 @@ import pytest
 
 from postproc import cli
 from postproc.figures import style
-from postproc.reading.results import Results
+from postproc.reading.grid import open_results
+from postproc.reading.points import Points
 from studies.common import text
+from studies.common.numbers import transition_of
 from studies.common.study import Study, main, namelist_text
 
 if TYPE_CHECKING:
@@ -34,8 +36,8 @@ def test_run_is_kept_and_another_input_stops_the_study(tmp_path: Path) -> None:
         study.run(CASE, "one", {"gate": {"threshold": 9}})
     assert path.read_bytes() == written
     replace(study, afresh=True).run(CASE, "one", {"gate": {"threshold": 9}})
-    with Results(path) as results:
-        assert results.value("threshold")[0] == 9.0
+    results = Points(open_results(path))
+    assert results.value("threshold")[0] == 9.0
 
 
 def test_bad_input_is_told_in_one_line(tmp_path: Path) -> None:
@@ -98,3 +100,12 @@ def test_measurements_in_words() -> None:
     assert [text.seconds(value) for value in (2.34, 0.0049, 8.4e-5, None)] == [
         "2.3 s", "4.9 ms", "84 us", "-",
     ]  # fmt: skip
+
+
+def test_transition_is_where_chi_falls_through_last() -> None:
+    """Replicas that are apart by 0.1 in chi, at a slope of 0.4: each moves it by 0.125."""
+    falling = np.array([[0.1, 0.9, 0.5, 0.1]]).T + np.array([[-0.05, 0.05]])
+    value, error = transition_of(np.arange(1.0, 5.0), falling)
+    assert value == pytest.approx(3.5)
+    assert error == pytest.approx(0.125)
+    assert math.isnan(transition_of(np.arange(2.0), np.full((2, 2), 0.1))[0])

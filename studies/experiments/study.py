@@ -33,10 +33,10 @@ from studies.common.event_log import (
     autocorrelations,
     circuit_of,
     entries_of,
-    mean_of_groups,
     particle_events,
     read_log,
 )
+from studies.common.numbers import mean_of, transition_of
 from studies.common.text import measured, number
 from studies.experiments import picture, predictions
 
@@ -130,7 +130,7 @@ def directions(work: study.Study) -> tuple[list[Row], list[dict]]:
             ]
         fitted = [fitted_diffusion(lags, one) / width**2 for one in values]
         what = f"D r^2/w^2 a visit, w = {width:g}"
-        rows.append(Row(1, what, math.inf, scale / width**2, *mean_of_groups(fitted)))
+        rows.append(Row(1, what, math.inf, scale / width**2, *mean_of(fitted)))
         curves.append({"width": width, "lags": lags, "mean": mean, "error": error})
     return rows, curves
 
@@ -146,7 +146,7 @@ def two_ports(work: study.Study) -> list[Row]:
     found, ratio = ports.disc(circuit), float(circuit.channel2_width)
     mixed = ratio / (ratio + float(circuit.channel1_width))
     stay = math.pi * float(circuit.urn_area) / (ratio + float(circuit.channel1_width))
-    share, time = (mean_of_groups(one) for one in after_channel2(events))
+    share, time = (mean_of(one) for one in after_channel2(events))
     return [
         Row(2, "share of crossings of channel 2 that are followed by another", mixed,
             found.return_chance, *share),
@@ -192,12 +192,12 @@ def sizes(work: study.Study) -> list[Row]:
             name = f"r = {radius:g}, N = {many}, T = {threshold}"
             rows.append(
                 Row(3, f"conductance over w'/(pi A), {name}", share, predicted,
-                    *mean_of_groups(current / (scale * apart)))
+                    *mean_of(current / (scale * apart)))
             )  # fmt: skip
             expected = float(theory.flow1(circuit, inside[0]))
             rows.append(
                 Row(3, f"flow of the sparse gate over the renewal gate's, {name}", 1.0,
-                    math.nan, *mean_of_groups(point.flow1_12.to_numpy() / expected))
+                    math.nan, *mean_of(point.flow1_12.to_numpy() / expected))
             )  # fmt: skip
     return rows
 
@@ -258,27 +258,6 @@ def transition_after(
     return postproc.open_results(work.run("transition", name, changes)).chi
 
 
-def transition(thresholds: Floats, chi: Floats) -> float:
-    """Return the T at which chi falls through `HALFWAY`, the last one; NaN if it does not."""
-    falls = np.flatnonzero((chi[:-1] >= HALFWAY) & (chi[1:] < HALFWAY))
-    if falls.size == 0:
-        return math.nan
-    k = falls[-1]
-    share = (chi[k] - HALFWAY) / (chi[k] - chi[k + 1])
-    return float(thresholds[k] + share * (thresholds[k + 1] - thresholds[k]))
-
-
-def transition_of(found: xr.DataArray) -> tuple[float, float]:
-    """Return the transition and its error, by jackknife over replicas."""
-    at, chi = found.threshold.to_numpy(), found.transpose("threshold", "replica").to_numpy()
-    count = chi.shape[1]
-    without = np.array(
-        [transition(at, np.delete(chi, k, axis=1).mean(axis=1)) for k in range(count)]
-    )
-    error = math.sqrt((count - 1) / count * np.sum((without - without.mean()) ** 2))
-    return transition(at, chi.mean(axis=1)), error
-
-
 def transients(work: study.Study) -> list[Row]:
     """Make experiment 5: the shift of the upper transition by a transient that is too short.
 
@@ -296,7 +275,10 @@ def transients(work: study.Study) -> list[Row]:
         for one in TRANSIENTS
     ]
     predicted = (0.4 - HALFWAY) * (share[0] - share[1]) / -float(slope)
-    (one, its), (other, other_error) = (transition_of(chi) for chi in found)
+    (one, its), (other, other_error) = (
+        transition_of(one.threshold.to_numpy(), one.transpose("threshold", "replica").to_numpy())
+        for one in found
+    )
     what = "T of the upper transition, transient 500, less that with 5000"
     return [Row(5, what, 0.0, predicted, one - other, math.hypot(its, other_error))]
 

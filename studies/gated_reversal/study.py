@@ -27,6 +27,7 @@ from studies.common.event_log import (
     particle_events,
     read_log,
 )
+from studies.common.theories import told
 from studies.gated_reversal import examples, pasts
 
 if TYPE_CHECKING:
@@ -108,22 +109,20 @@ def mirrored(forward: Reversals, backward: Reversals, turn: float) -> NDArray[np
     return found
 
 
-def start_number(work: study.Study, number: int, threshold: int) -> int:
+def start_number(number: int, threshold: int) -> int:
     """Return the initial number in urn 1 for a state near the stationary one."""
     if number < 100:
         return number // 2
-    theory = work.theory("window", number=number, threshold=threshold)
+    theory = told("window", number=number, threshold=threshold)
     stable = [root["mass_spread"] for root in theory["roots"] if root["kind"] == "stable"]
     spread = 0.0 if theory["homogeneous"] == "stable" else min(stable, default=0.0)
     return round(0.5 * number * (1.0 - spread))
 
 
-def _changes(
-    work: study.Study, number: int, threshold: int, duration: float, seed: int = 1
-) -> Groups:
+def _changes(number: int, threshold: int, duration: float) -> Groups:
     return {
         "particles": {
-            "number": number, "urn1_number": start_number(work, number, threshold), "seed": seed,
+            "number": number, "urn1_number": start_number(number, threshold), "seed": 1,
         },
         "gate": {"threshold": threshold},
         "run": {"duration": duration},
@@ -159,7 +158,7 @@ def _scan(work: study.Study) -> list[dict[str, object]]:
     for number, threshold in SCAN:
         duration = work.pick(2000.0, 20000.0) * max(1.0, (100.0 / number) ** 2)
         name = f"reversals_{number}_{threshold}"
-        changes = _changes(work, number, threshold, duration)
+        changes = _changes(number, threshold, duration)
         log = read_log(work.run("reversal", name, changes, alone=True))
         found = reversals_of(log, threshold)
         later = found.time > 0.1 * duration
@@ -186,7 +185,7 @@ def _backwards(
     """
     times = 200.0 + APART * np.arange(1, turns + 1)
     name = f"turned_{number}_{threshold}"
-    changes = _changes(work, number, threshold, float(times[-1]))
+    changes = _changes(number, threshold, float(times[-1]))
     changes["output"] = {"snapshot_times": times.tolist()}
     path = work.run("reversal", name, changes, alone=True)
     log = read_log(path)

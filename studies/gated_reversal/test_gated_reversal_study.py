@@ -145,7 +145,6 @@ def test_reversals_of_one_run_count_as_one_in_the_error() -> None:
     assert math.isnan(gated.share_of([1, 0], [3, 0])[1])
 
 
-@pytest.mark.usefixtures("theory_in_process")
 def test_run_backwards_parts_where_the_log_says(tmp_path: Path) -> None:
     found = gated._backwards(Study(tmp_path, HERE), 100, 1, 12.0, turns=3)
     assert found["parting_as_told"] == found["turns"] == 3

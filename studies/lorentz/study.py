@@ -15,15 +15,14 @@ import numpy as np
 import postproc
 from postproc.figures import style
 from studies.common import study
-from studies.common.event_log import Circuit, mean_of_groups
-from studies.common.geometry import lattice
+from studies.common.geometry import lattice, urn_area
+from studies.common.numbers import bars, said, with_errors
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
 
     import xarray as xr
-    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
     from numpy.typing import NDArray
 
@@ -80,7 +79,6 @@ class Runs:
         made = self.work.run(groups, f"close_{number}_{radius:g}")
         found = []
         for start, whole, looks in zip(STARTS, points(made), points(made, "series"), strict=True):
-            chi, error = mean_of_groups(whole.chi.to_numpy())
             spread = 2.0 * looks.urn1_number.to_numpy() / number - 1.0
             late = spread[:, looks.time.to_numpy() >= float(whole.transient_time.max())]
             binder, binder_error = cumulant(late)
@@ -88,8 +86,9 @@ class Runs:
                 np.abs(spread) < HALFWAY)  # fmt: skip
             low, high = BETWEEN
             found.append({
-                "number": number, "radius": radius, "urn1_number": start * number, "chi": chi,
-                "chi_error": error, "binder": binder, "binder_error": binder_error,
+                **with_errors(chi=whole.chi.to_numpy()),
+                "number": number, "radius": radius, "urn1_number": start * number,
+                "binder": binder, "binder_error": binder_error,
                 "stay": int((~beyond.any(axis=1)).sum()), "runs": len(spread),
                 "between": float(((np.abs(late) > low) & (np.abs(late) < high)).mean()),
             })  # fmt: skip
@@ -100,12 +99,10 @@ class Runs:
         row = {name: float(point[name])
                for name in ("threshold", "channel2_width", "urn1_number")}  # fmt: skip
         chi, current = point.chi.to_numpy(), point.polarised_current.to_numpy()
-        row["chi"], row["chi_error"] = mean_of_groups(chi)
-        row["polarised_current"], row["polarised_current_error"] = mean_of_groups(current)
         # Conductance, over that of a straight channel of this width and well mixed urns.
         width = row["channel2_width"]
         ratio = current / (chi * NUMBER * well_mixed(width, width))
-        row["conductance"], row["conductance_error"] = mean_of_groups(ratio)
+        row |= with_errors(chi=chi, polarised_current=current, conductance=ratio)
         # Variance of the net crossings over replicas, per particle and unit time.
         net = point.current2.to_numpy()
         row["noise"] = float(net.var(ddof=1) * self.duration / NUMBER)
@@ -126,7 +123,7 @@ def well_mixed(width: float, channel2_width: float = WIDTH) -> float:
 
     `channel2_width` is that of the other opening of the urns, whose radius is 1.
     """
-    return width / (math.pi * Circuit(channel2_width=channel2_width).urn_area)
+    return width / (math.pi * urn_area(channel2_width))
 
 
 def cumulant(spread: NDArray[np.float64]) -> tuple[float, float]:
@@ -184,11 +181,6 @@ def nyquist(rows: Rows, radius: float) -> float:
     return rates[0] * rates[1] / sum(rates)
 
 
-def _bars(axes: Axes, rows: Rows, across: str, up: str, look: dict[str, object]) -> None:
-    values = {name: [row[name] for row in rows] for name in (across, up, f"{up}_error")}
-    axes.errorbar(values[across], values[up], values[f"{up}_error"], ms=3.5, capsize=1.5, **look)
-
-
 def _from(rows: Rows, start: float, number: int = NUMBER) -> Rows:
     return [row for row in rows if row.get("number", NUMBER) == number
             and row["urn1_number"] == start * number]  # fmt: skip
@@ -209,9 +201,9 @@ def figure(found: dict[str, Rows]) -> Figure:
          "label": f"$N = {MANY}$, one full urn"},
     )  # fmt: skip
     for start, look, other in zip(STARTS, looks, more, strict=True):
-        _bars(by_radius, _from(found["radius"], start), "radius", "chi", look)
-        _bars(by_columns, _from(found["columns"], start), "columns", "chi", look)
-        _bars(by_radius, _from(found["close"], start, MANY), "radius", "chi", other)
+        bars(by_radius, _from(found["radius"], start), "radius", "chi", capsize=1.5, **look)
+        bars(by_columns, _from(found["columns"], start), "columns", "chi", capsize=1.5, **look)
+        bars(by_radius, _from(found["close"], start, MANY), "radius", "chi", capsize=1.5, **other)
     by_radius.set(xlabel="radius of 15 scatterers", ylabel=r"$\chi$")
     by_columns.set(xlabel="columns of scatterers of radius 0.04", ylabel=r"$\chi$")
     by_radius.legend(loc="lower right", fontsize=6.5)
@@ -220,7 +212,7 @@ def figure(found: dict[str, Rows]) -> Figure:
         ("ohm_straight", style.GREEN, "none, $w' = 0.06$"),
     ):
         look = {"marker": "o", "ls": "none", "color": colour, "label": label}
-        _bars(ohm, found[name], "chi", "polarised_current", look)
+        bars(ohm, found[name], "chi", "polarised_current", capsize=1.5, **look)
     ohm.set(xlabel=r"$\chi$", ylabel="net current (per unit time)", xlim=(0, 1), ylim=(0, None))
     ohm.legend()
     for name, colour, label in (
@@ -231,15 +223,10 @@ def figure(found: dict[str, Rows]) -> Figure:
         look = {"marker": "o", "ls": "none", "color": colour, "label": label}
         rows = [row | {"width": row["conductance"] * row["channel2_width"]}
                 for row in _from(found[name], 1.0) if row["chi"] > 0.1]  # fmt: skip
-        _bars(collapse, rows, "width", "chi", look)
+        bars(collapse, rows, "width", "chi", capsize=1.5, **look)
     collapse.set(xlabel="width of a straight channel that conducts as well", ylabel=r"$\chi$")
     collapse.legend()
     return made
-
-
-def value(row: dict[str, float], name: str, digits: int) -> str:
-    """Return a number of a row with its error."""
-    return f"{row[name]:.{digits}f} ± {row[f'{name}_error']:.{digits}f}"
 
 
 def tables(work: study.Study, found: dict[str, Rows]) -> None:
@@ -247,15 +234,15 @@ def tables(work: study.Study, found: dict[str, Rows]) -> None:
     chi, conductance = ("chi", 3), ("conductance", 3)
     work.table(
         "ohm", ["T", "chi, discs", "conductance, discs", "chi, straight", "conductance, straight"],
-        [[f"{discs['threshold']:g}", *(value(row, *one) for row in (discs, straight)
+        [[f"{discs['threshold']:g}", *(said(row, *one) for row in (discs, straight)
                                        for one in (chi, conductance))]
          for discs, straight in zip(found["ohm"], found["ohm_straight"], strict=True)],
     )  # fmt: skip
     for name, head in (("radius", "radius"), ("columns", "columns of radius 0.04")):
         work.table(
             name, [head, "chi, from equal urns", "chi, from one full urn", "conductance"],
-            [[f"{equal[name]:g}", value(equal, "chi", 4), value(full, "chi", 4),
-              value(full, *conductance)]
+            [[f"{equal[name]:g}", said(equal, "chi", 4), said(full, "chi", 4),
+              said(full, *conductance)]
              for equal, full in zip(found[name][::2], found[name][1::2], strict=True)],
         )  # fmt: skip
     work.table(
@@ -270,7 +257,7 @@ def tables(work: study.Study, found: dict[str, Rows]) -> None:
     for equal, full in zip(found["close"][::2], found["close"][1::2], strict=True):
         rows.append([
             f"{equal['number']:g}", f"{equal['radius']:g}",
-            *(value(row, name, digits) for name, digits in (("chi", 3), ("binder", 2))
+            *(said(row, name, digits) for name, digits in (("chi", 3), ("binder", 2))
               for row in (equal, full)),
             *(f"{row['stay']:g} of {row['runs']:g}" for row in (equal, full)),
             f"{50.0 * (equal['between'] + full['between']):.1f} %",

@@ -17,10 +17,9 @@ The last three read tables of this folder, and one of the study of circulation. 
 
 from __future__ import annotations
 
-import csv
 import math
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -29,6 +28,8 @@ import numpy as np
 import postproc
 from postproc.figures import style
 from studies.common import study
+from studies.common.geometry import urn_area
+from studies.common.numbers import bars, read_table, with_errors
 from studies.common.theories import THEORIES
 from studies.common.theories import told as theories_told
 from studies.narrow_channels import visits
@@ -131,11 +132,6 @@ def told(model: str, case: str, width: float, age: float = math.inf) -> dict[str
     return best
 
 
-def mean_of(values: Floats) -> tuple[float, float]:
-    """Return the mean over replicas and its standard error."""
-    return float(values.mean()), float(values.std(ddof=1) / math.sqrt(values.size))
-
-
 def halves(samples: Floats) -> Floats:
     """Return the means of the earlier and the later half of samples: shape (replica, 2)."""
     middle = samples.shape[1] // 2
@@ -145,28 +141,6 @@ def halves(samples: Floats) -> Floats:
 def changes_of_sign(samples: Floats) -> int:
     """Return how often successive samples, along the last axis, are of unlike sign."""
     return int(np.count_nonzero(samples[..., 1:] * samples[..., :-1] < 0.0))
-
-
-def measured(work: study.Study, case: str, width: float) -> dict[str, float]:
-    """Run one of A to D at one width; return means over replicas with errors."""
-    ratio, thresholds = CASES[case]
-    number = round(LOAD / width)
-    start = told("direction", case, width)["urn2_number"]
-    transient = max(2.0 * RELAXATION / width**3, 1e4)
-    changes = {
-        "table": {"channel1_width": width, "channel2_width": ratio * width},
-        "particles": {"number": number, "urn1_number": round(number - start)},
-        "gate": {"threshold": thresholds},
-        "run": {"transient_duration": transient,
-                "duration": transient + work.pick(5e4, max(2e5, 2.0 * transient))},
-    }  # fmt: skip
-    file = work.run("narrow", f"first_{case}_{width:g}", changes)
-    data = postproc.open_results(file).squeeze()
-    current, chi = (np.abs(one.to_numpy()) for one in (data.current2, data.chi))
-    found = {"time": float(data.time.to_numpy().mean() - transient) * current.size}
-    for key, values in (("current", current), ("chi", chi)):
-        found[key], found[f"{key}_error"] = mean_of(values)
-    return found
 
 
 def ran(work: study.Study, plan: Plan, name: str, urn2_number: float) -> dict[str, float]:
@@ -191,13 +165,11 @@ def ran(work: study.Study, plan: Plan, name: str, urn2_number: float) -> dict[st
     excess = series.urn1_number.to_numpy()[:, -SAMPLES:] - 0.5 * plan.number
     early, late = np.abs(halves(net)).T
     signed = data.current2.to_numpy()
-    found: dict[str, float] = {"changes": changes_of_sign(excess)}
-    for key, values in (
-        ("current", np.abs(signed)), ("signed", signed), ("chi", np.abs(data.chi.to_numpy())),
-        ("early", early), ("late", late),
-    ):  # fmt: skip
-        found[key], found[f"{key}_error"] = mean_of(values)
-    return found
+    return {
+        "changes": changes_of_sign(excess),
+        **with_errors(current=np.abs(signed), signed=signed, chi=np.abs(data.chi.to_numpy()),
+                      early=early, late=late),
+    }  # fmt: skip
 
 
 def about(plan: Plan) -> Row:
@@ -209,16 +181,17 @@ def about(plan: Plan) -> Row:
 def runs(work: study.Study) -> None:
     """Make results.csv."""
     rows: list[Row] = []
-    for case, (ratio, thresholds) in CASES.items():
-        for width in work.pick(QUICK, FULL):
-            paper = abs(told("window", case, width)["net_current"])
-            row = {"circuit": case, "ratio": ratio, "T1": thresholds[0], "T2": thresholds[1],
-                   "w": width, "N": round(LOAD / width), **measured(work, case, width)}  # fmt: skip
-            row |= over("paper", row, paper)
-            rows.append(row)
+    for (case, (ratio, thresholds)), width in product(CASES.items(), work.pick(QUICK, FULL)):
+        transient = max(2.0 * RELAXATION / width**3, 1e4)
+        plan = Plan(case, width, transient, work.pick(5e4, max(2e5, 2.0 * transient)))
+        start = told("direction", case, width)["urn2_number"]
+        seen = ran(work, plan, f"first_{case}_{width:g}", start)
+        seen |= over("paper", seen, abs(told("window", case, width)["net_current"]))
+        rows.append({**about(plan), **seen, "ratio": ratio, "T1": thresholds[0],
+                     "T2": thresholds[1], "time": plan.replicas * plan.measured})  # fmt: skip
     fields = ("circuit", "ratio", "T1", "T2", "w", "N", "current", "current_error", "chi",
               "chi_error", "over_paper", "over_paper_error", "time")  # fmt: skip
-    table(work, "results", [{key: row[key] for key in fields} for row in rows])
+    work.rows("results", [{key: row[key] for key in fields} for row in rows], 6)
 
 
 def over(name: str, row: Row, unit: float) -> Row:
@@ -231,14 +204,8 @@ def conductance(row: Row) -> Row:
     """Return F, the current over w'/(pi A) and the difference of the halves' numbers, and error."""
     width = float(row["w"])
     ratio, _ = circuit_of(row["circuit"])
-    unit = ratio * width * row["chi"] * row["N"] / (math.pi * area(width, ratio * width))
+    unit = ratio * width * row["chi"] * row["N"] / (math.pi * urn_area(ratio * width, width))
     return {"F": row["current"] / unit, "F_error": row["current_error"] / unit}
-
-
-def area(*widths: float) -> float:
-    """Return the area of a disc of radius 1 without what the chords of its openings cut off."""
-    cut = (math.asin(0.5 * one) - 0.5 * one * math.sqrt(1.0 - 0.25 * one**2) for one in widths)
-    return math.pi - sum(cut)
 
 
 def near(work: study.Study) -> None:
@@ -250,24 +217,21 @@ def near(work: study.Study) -> None:
             seen = ran(work, plan, f"{plan.case}_{plan.width:g}_{start}", number)
             seen |= over("paper", seen, abs(paper["net_current"]))
             rows.append({**about(plan), "start": start, **seen})
-    table(work, "near", rows)
+    work.rows("near", rows, 6)
 
 
 def narrower(work: study.Study) -> None:
     """Make narrower.csv: A to D in narrower channels, with theory at the age of the runs."""
     rows: list[Row] = []
-    plans = work.pick(*NARROWER)
-    with ThreadPoolExecutor(work.ranks) as pool:
-        states = pool.map(lambda one: told("direction", one.case, one.width, one.age), plans)
-        papers = pool.map(lambda one: told("window", one.case, one.width), plans)
-    for plan, state, known in zip(plans, states, papers, strict=True):
-        paper = abs(known["net_current"])
+    for plan in work.pick(*NARROWER):
+        state = told("direction", plan.case, plan.width, plan.age)
+        paper = abs(told("window", plan.case, plan.width)["net_current"])
         seen = ran(work, plan, f"{plan.case}_{plan.width:g}", state["urn2_number"])
         seen |= over("paper", seen, paper) | over("theory", seen, state["at_age"])
         seen |= {"theory": state["at_age"] / paper, "theory_chi": state["mass_spread"]}
         row = {**about(plan), **seen}
         rows.append(row | conductance(row))
-    table(work, "narrower", rows)
+    work.rows("narrower", rows, 6)
 
 
 def visits_and_limits(work: study.Study) -> None:
@@ -285,25 +249,20 @@ def visits_and_limits(work: study.Study) -> None:
                 "R_error": error * 2.0 * (1.0 + 2.0 * ratio) / (1.0 + chance) ** 2,
                 "R_limit": visits.deep_limit(ratio),
             })  # fmt: skip
-    table(work, "visits", rows)
-    table(work, "ratios", [
+    work.rows("visits", rows, 6)
+    work.rows("ratios", [
         {"ratio": one, "a": visits.narrow_chance(one), "R": visits.deep_limit(one),
          "excess_over_ratio": (visits.deep_limit(one) - 1.0) / one} for one in RATIOS
-    ])  # fmt: skip
+    ], 6)  # fmt: skip
 
 
 def theories(work: study.Study) -> None:
     """Make theories.csv: current over that of `window` and chi by each theory, 0 if it has none."""
     places = (*((plan.case, plan.width) for plan in NEARER[1]), ("E", LIMIT), ("F", LIMIT))
-    asked = [(*place, model) for place in places for model in ASKED]
-    with ThreadPoolExecutor(work.ranks) as pool:
-        states = list(pool.map(lambda one: told(one[2], *one[:2]), asked))
-        places = list(dict.fromkeys(one[:2] for one in asked))
-        papers = pool.map(lambda one: abs(told("window", *one)["net_current"]), places)
-    paper_of = dict(zip(places, papers, strict=True))
     rows: list[Row] = []
-    for (case, width, model), state in zip(asked, states, strict=True):
-        paper = paper_of[case, width]
+    for (case, width), model in product(places, ASKED):
+        state = told(model, case, width)
+        paper = abs(told("window", case, width)["net_current"])
         rows.append({
             "circuit": case, "w": width, "model": model,
             "over_paper": abs(state.get("net_current", 0.0)) / paper,
@@ -311,8 +270,8 @@ def theories(work: study.Study) -> None:
             "chi": abs(state.get("mass_spread", 0.0)),
             "chi_error": state.get("mass_spread_error", 0.0),
         })  # fmt: skip
-    rows += [row for row in read(HERE / "theories.csv") if row["model"] == WALKERS]
-    table(work, "theories", rows)
+    rows += [row for row in read_table(HERE / "theories.csv") if row["model"] == WALKERS]
+    work.rows("theories", rows, 6)
 
 
 def line(width: Floats, value: Floats, error: Floats, degree: int = 1) -> tuple[float, float]:
@@ -353,9 +312,9 @@ def extrapolated(own: Sequence[Row], ends: float) -> Row:
 
 def comparison(work: study.Study) -> None:
     """Make comparison.csv, from results.csv and from widths.csv of the study of circulation."""
-    own = {(row["circuit"], row["w"]): row for row in read(table_of(work, "results"))}
+    own = {(row["circuit"], row["w"]): row for row in read_table(table_of(work, "results"))}
     rows: list[Row] = []
-    for at in read(WIDTHS):
+    for at in read_table(WIDTHS):
         row = own.get((at["circuit"], at["w"]))
         if row is None:
             continue
@@ -366,12 +325,12 @@ def comparison(work: study.Study) -> None:
             "theory": at["theory"] / paper, "without_circulation": at["without"] / paper,
             **over("theory", row, at["theory"]), **conductance(row),
         })  # fmt: skip
-    table(work, "comparison", rows)
+    work.rows("comparison", rows, 6)
 
 
 def limits(work: study.Study) -> None:
     """Make limits.csv, from comparison.csv."""
-    rows, found = read(table_of(work, "comparison")), []
+    rows, found = read_table(table_of(work, "comparison")), []
     for case, (ratio, _) in CASES.items():
         state = told("direction", case, LIMIT)
         paper = abs(told("window", case, LIMIT)["net_current"])
@@ -379,29 +338,7 @@ def limits(work: study.Study) -> None:
         some = [row for row in rows if row["circuit"] == case]
         found.append({"circuit": case, "closed_form": visits.deep_limit(ratio), "two_ports": ends,
                       **extrapolated(some, ends)})  # fmt: skip
-    table(work, "limits", found)
-
-
-def table(work: study.Study, name: str, rows: Sequence[Row]) -> None:
-    """Write rows to a table."""
-    work.table(name, list(rows[0]), [[_text(one) for one in row.values()] for row in rows])
-
-
-def _text(value: object) -> str:
-    return f"{value:.6g}" if isinstance(value, float) else str(value)
-
-
-def read(path: Path) -> list[Row]:
-    """Return the rows of a table, numbers as numbers, without those that have no value."""
-    with path.open(encoding="utf-8") as file:
-        return [{key: _value(text) for key, text in row.items()} for row in csv.DictReader(file)]
-
-
-def _value(text: str) -> float | str:
-    try:
-        return float(text)
-    except ValueError:
-        return text
+    work.rows("limits", found, 6)
 
 
 def table_of(work: study.Study, name: str) -> Path:
@@ -413,7 +350,7 @@ def table_of(work: study.Study, name: str) -> Path:
 def picture(work: study.Study) -> None:
     """Draw the tables."""
     names = ("comparison", "narrower", "near", "theories")
-    rows = {name: read(table_of(work, name)) for name in names}
+    rows = {name: read_table(table_of(work, name)) for name in names}
     made = style.figure(style.PAGE, 4.8)
     panels = made.subplots(2, 3)
     for case, axes in zip("ABCD", (*panels[0, :2], *panels[1, :2]), strict=True):
@@ -434,10 +371,8 @@ def _towards_limit(axes: Axes, case: str, first: Sequence[Row], more: Sequence[R
         (first, "o", "C0", "first runs"), (more, "s", "C1", "later runs")
     ):  # fmt: skip
         own = [row for row in rows if row["circuit"] == case]
-        axes.errorbar(
-            *([row[key] for row in own] for key in ("w", "over_paper", "over_paper_error")),
-            fmt=mark, ms=4, color=colour, mfc="none", capsize=2, ls="none", label=label,
-        )  # fmt: skip
+        bars(axes, own, "w", "over_paper", fmt=mark, ms=4, color=colour, mfc="none", capsize=2,
+             ls="none", label=label)  # fmt: skip
     own = sorted((row for row in [*first, *more] if row["circuit"] == case),
                  key=lambda row: (row["w"], row["theory"]))  # fmt: skip
     axes.plot([row["w"] for row in own], [row["theory"] for row in own], "-", color="black",
@@ -461,11 +396,8 @@ def _near_transition(axes: Axes, case: str, runs: Sequence[Row], theory: Sequenc
                   lw=1.0, ms=5, label=model)  # fmt: skip
     for start, mark, shift in (("window", "v", 0.8), ("even", "^", 1.25)):
         own = [row for row in runs if row["circuit"] == case and row["start"] == start]
-        axes.errorbar(
-            [shift * row["w"] for row in own], [row[key] for row in own],
-            [row[f"{key}_error"] for row in own], fmt=mark, ms=4, color="black", mfc="none",
-            capsize=2, ls="none", label=f"runs from {start}",
-        )  # fmt: skip
+        bars(axes, own, [shift * row["w"] for row in own], key, fmt=mark, ms=4, color="black",
+             mfc="none", capsize=2, ls="none", label=f"runs from {start}")  # fmt: skip
     axes.set(xscale="log", xlim=(6e-4, 0.3), ylim=(0.65, 1.03) if case == "E" else (-0.05, 0.65))
     axes.set_ylabel("R" if case == "E" else "chi", labelpad=1)
     axes.set_title(f"{case}: w'/w = {ratio:g}, T = {thresholds[0]}, {thresholds[1]}", fontsize=8)

@@ -7,6 +7,7 @@ import math
 import numpy as np
 import pytest
 
+from studies.common.geometry import urn_area
 from studies.narrow_channels import study, visits
 
 
@@ -49,9 +50,9 @@ def test_drawn_visits_return_as_often_as_theory_has() -> None:
 
 
 def test_conductance_of_well_mixed_urns_is_one() -> None:
-    assert study.area(0.1, 0.003) == pytest.approx(3.1415092554226174, rel=1e-14)  # of theory
+    assert urn_area(0.003, 0.1) == pytest.approx(3.1415092554226174, rel=1e-14)
     row = {"circuit": "D", "w": 0.1, "N": 3000.0, "chi": 0.25, "current_error": 0.0}
-    row["current"] = 0.1 * 750.0 / (math.pi * study.area(0.1, 0.1))
+    row["current"] = 0.1 * 750.0 / (math.pi * urn_area(0.1, 0.1))
     assert study.conductance(row)["F"] == pytest.approx(1.0)
 
 

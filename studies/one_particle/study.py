@@ -24,7 +24,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from postproc import cli
-from postproc.reading.results import Results
+from postproc.reading.grid import open_results
+from postproc.reading.points import Points
 from postproc.theory.circuit import Circuit
 from studies.common import study
 from studies.one_particle.walkers import stationary_states
@@ -103,20 +104,20 @@ def print_hollow(paths: Sequence[Path]) -> None:
     """Print the density of chi next to 0, over that at its mode, for each point and start."""
     print(f"{'w2':>7} {'T':>3} {'chi(0)':>6} {'chi':>7} {'+-':>7} {'hollow':>7}")
     for path in paths:
-        with Results(path) as results:
-            chi, first = results.value("chi"), results.value("urn1_number")
-            for at in range(results.points):
-                circuit, done = results.circuit(at), np.flatnonzero(results.done[at])
-                spreads = []
-                for replica in done:
-                    series, number = results.series(at, int(replica)), float(circuit.number)
-                    late = series.time > float(results.value("transient_time")[at, replica])
-                    spreads.append(np.abs(2.0 * series.urn1_number[late] / number - 1.0))
-                start = abs(2.0 * float(np.ravel(first[at])[0]) / float(circuit.number) - 1.0)
-                error = float(chi[at, done].std(ddof=1)) / math.sqrt(done.size)
-                print(f"{float(circuit.channel2_width):7.4f} {int(circuit.threshold):3d} "
-                      f"{start:6.2f} {chi[at, done].mean():7.4f} {error:7.4f} "
-                      f"{hollow(np.concatenate(spreads)):7.2f}")  # fmt: skip
+        results = Points(open_results(path))
+        chi, first = results.value("chi"), results.value("urn1_number")
+        for at in range(results.points):
+            circuit, done = results.circuit(at), np.flatnonzero(results.done[at])
+            spreads = []
+            for replica in done:
+                series, number = results.series(at, int(replica)), float(circuit.number)
+                late = series.time > float(results.value("transient_time")[at, replica])
+                spreads.append(np.abs(2.0 * series.urn1_number[late] / number - 1.0))
+            start = abs(2.0 * float(np.ravel(first[at])[0]) / float(circuit.number) - 1.0)
+            error = float(chi[at, done].std(ddof=1)) / math.sqrt(done.size)
+            print(f"{float(circuit.channel2_width):7.4f} {int(circuit.threshold):3d} "
+                  f"{start:6.2f} {chi[at, done].mean():7.4f} {error:7.4f} "
+                  f"{hollow(np.concatenate(spreads)):7.2f}")  # fmt: skip
 
 
 def main(arguments: list[str] | None = None) -> int:

@@ -15,9 +15,9 @@ from postproc.tests.runs import BARE, results_of
 from postproc.theory.circuit import Circuit, gate_load
 from postproc.theory.renewal import RENEWAL
 from postproc.theory.states import stable_state
-from studies.common import programs
 from studies.common.study import ROOT
 from studies.one_particle import study as comp01
+from studies.one_particle import walkers
 from studies.one_particle.study import HOLLOW, hollow, root_mean_square
 from studies.one_particle.walkers import (
     MOST_VISITS,
@@ -218,6 +218,6 @@ def test_a_program_that_is_not_there_is_told(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """One line says what is missing and what builds it."""
-    monkeypatch.setattr(programs, "ROOT", tmp_path)
+    monkeypatch.setattr(walkers, "ROOT", tmp_path)
     with pytest.raises(InputError, match=r"one_particle: no such .*make build/bin/one_particle"):
         stationary_states(PAPER, QUICK)

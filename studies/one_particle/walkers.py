@@ -13,15 +13,17 @@ of independent batches of walkers.
 
 from __future__ import annotations
 
+import subprocess
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from postproc.cli import InputError, ended_with_python
 from postproc.progress import doing
 from postproc.theory.renewal import RENEWAL
 from postproc.theory.states import State, stable_state
-from studies.common.programs import answers
+from studies.common.study import ROOT
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -74,18 +76,18 @@ class Walked:
 
     Attributes
     ----------
-    half2_number : N2, time average.
     flow1, flow2 : crossings of channels 1 and 2 from urn 1 to 2 and from 2 to 1, per unit time.
     entries, turned : entries into the gate of each urn, and reversed walkers, per unit time.
+    half2_number : N2, time average; shape (batch,).
     fuller_number, polarised_current : mean number in the half that is the fuller one at the time,
         and net current of channel 2 from there, per unit time; shape (batch,).
     """
 
-    half2_number: Floats
     flow1: Floats
     flow2: Floats
     entries: Floats
     turned: Floats
+    half2_number: Floats
     fuller_number: Floats
     polarised_current: Floats
 
@@ -125,9 +127,22 @@ def walk(circuit: Circuit, share2: float, effort: Effort, *, well_mixed: bool = 
     mixed = "T" if well_mixed else "F"
     seeds = range(effort.seed, effort.seed + effort.batches)
     with doing(f"walkers, {share2:.2g} of them from urn 2"):
-        found = answers("one_particle", [f"{line} {seed} {mixed}" for seed in seeds])
-    pairs = (found[:, first : first + 2] for first in (1, 3, 5, 7))
-    return Walked(found[:, 0], *pairs, found[:, 9], found[:, 10])
+        found = _answers("".join(f"{line} {seed} {mixed}\n" for seed in seeds))
+    pairs = (found[:, first : first + 2] for first in (0, 2, 4, 6))
+    return Walked(*pairs, *found[:, 8:].T)
+
+
+def _answers(lines: str) -> Floats:
+    """Return the numbers that the program prints, a row for each line."""
+    program = ROOT / "build/bin/one_particle"
+    if not program.is_file():
+        raise InputError(f"{program}: no such program (make build/bin/one_particle)")
+    done = subprocess.run(
+        ended_with_python([program]), input=lines, capture_output=True, text=True, check=False
+    )
+    if done.returncode:
+        raise InputError(f"{program}: {done.stderr.strip() or done.returncode}")
+    return np.array([line.split() for line in done.stdout.splitlines()], float)
 
 
 def stationary_states(circuit: Circuit, effort: Effort | None = None) -> list[Drawn]:

@@ -6,7 +6,6 @@ Each part makes runs, and prints numbers with standard errors over replicas:
 - slices: chi over T, and current over chi, of paper_slice.nml (15 s);
 - single: what eq. (eqapp5) adds to the current of the single urn, by w and T (5 s);
 - one_channel: chi against N w l/(8 T A) without channel 2 (25 s);
-- averages: chi over time and over wall collisions, from the same runs (8 s of a processor);
 - polygons: currents of four shapes of urns at T = 7 (5 s);
 - discs: current over chi with 15 discs in channel 2 (5 s), and both starts at N = 4000 (30 s).
 """
@@ -23,7 +22,7 @@ from postproc.theory.gates import WINDOW
 from postproc.theory.renewal import RENEWAL
 from postproc.theory.states import stable_state
 from studies.common import geometry, study
-from studies.common.event_log import mean_of_groups
+from studies.common.numbers import mean_of
 from studies.common.study import NAMELISTS
 
 if TYPE_CHECKING:
@@ -36,7 +35,7 @@ NARROW, WIDE = 0.01, 0.2  # w' of the circuits with polygons, and with discs in 
 
 def plain(width: float) -> float:
     """Return the flow of channel 2 at chi = 1 between well mixed urns, N = 1000, w = 0.3."""
-    return 1000.0 * width / (math.pi * float(Circuit(1000, 7, channel2_width=width).urn_area))
+    return 1000.0 * width / (math.pi * geometry.urn_area(width))
 
 
 def made(
@@ -50,7 +49,7 @@ def made(
 
 def mean(values: np.ndarray) -> str:
     """Return mean and standard error of replicas as text."""
-    return "{:.4g} +- {:.2g}".format(*mean_of_groups(values))
+    return "{:.4g} +- {:.2g}".format(*mean_of(values))
 
 
 def of_namelist(work: study.Study, name: str) -> xr.Dataset:
@@ -98,23 +97,11 @@ def one_channel(work: study.Study) -> None:
     for name in ("paper_one_channel", "one_channel_starts"):
         data = of_namelist(work, name)
         number, threshold = int(data.number), int(data.threshold)
-        area = float(Circuit(number, threshold, 0.5, 0.0).urn_area)
+        area = geometry.urn_area(0.0, 0.5)
         for length in data.channel1_length.to_numpy():
             chi = data.chi.sel(channel1_length=length).transpose(..., "replica").to_numpy()
             text = " and ".join(map(mean, chi.reshape(-1, chi.shape[-1])))
             print(f"N = {number}, {number * 0.5 * length / (8.0 * threshold * area):.3f}: {text}")
-
-
-def averages(work: study.Study) -> None:
-    """Print chi averaged over time, and the difference of averages over wall collisions."""
-    data = made(work, "averages", {"engine": "collision", "duration": 4000.0,
-                                     "transient_duration": 500.0},
-                {"threshold": [2, 7, 14, 18], "replicas": 8},
-                table={"channel2_width": 0.01})  # fmt: skip
-    for threshold in data.threshold.to_numpy():
-        here = data.sel(threshold=threshold)
-        apart = (here.chi_collision - here.chi).to_numpy()
-        print(f"T = {threshold}: chi {mean(here.chi.to_numpy())}, by collisions {mean(apart)} more")
 
 
 def polygons(work: study.Study) -> None:
@@ -152,7 +139,7 @@ def discs(work: study.Study) -> None:
               "from even urns and from one full urn")  # fmt: skip
 
 
-PARTS = (flows, slices, single, one_channel, averages, polygons, discs)
+PARTS = (flows, slices, single, one_channel, polygons, discs)
 
 if __name__ == "__main__":
     raise SystemExit(study.main(__file__, __doc__, {part.__name__: part for part in PARTS}))

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import warnings
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -19,7 +18,7 @@ from postproc.theory.renewal import (
     load_range,
     share_of_one,
 )
-from studies.common.programs import answers
+from studies.renewal_gate.equations import share, simulated
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -31,7 +30,6 @@ LOADS = 16  # for each threshold
 FINE = (*range(2, 13), 60)  # thresholds at which cells of half the width are used as well
 THIRD = (3, 4, 6, 8, 12, 18, 25)  # thresholds at which the third order is solved as well
 THIRD_LOADS = 8
-LONGEST = 32  # time up to which the equations are integrated
 POWER = 1.5  # of the width of the cells, in their error
 DEGREES = (13, 10)  # of the polynomial, along the load and across the thresholds
 CELL_DEGREES, THIRD_DEGREES = (10, 4), (7, 3)
@@ -40,34 +38,21 @@ CHECKED += ((13, 17.0), (15, 12.0), (18, 12.0), (18, 20.0), (25, 24.0), (30, 40.
 
 
 def solve(rows: Floats, processes: int = 1) -> Floats:
-    """Return the shares for rows (threshold, load, order, cells) by `renewal_closure`."""
-    lines = [
-        f"{load!r} {threshold:.0f} {order:.0f} {cells:.0f} {LONGEST}"
-        for threshold, load, order, cells in rows.tolist()
-    ]
-    with ThreadPoolExecutor(processes) as pool:
-        found = pool.map(lambda line: answers("renewal_closure", [line]), lines)
-        return np.array([one[0, 2] for one in found])
+    """Return the shares for rows (threshold, load, order, cells) by the equations."""
+    with ProcessPoolExecutor(processes) as pool:
+        found = [pool.submit(share, int(threshold), load, int(order), int(cells))
+                 for threshold, load, order, cells in rows.tolist()]  # fmt: skip
+        return np.array([one.result() for one in found])
 
 
 def simulate(
     points: Floats, entries: int, processes: int = 1, seed: int = 1
 ) -> tuple[Floats, Floats]:
     """Return the share that gets through and its standard error, for rows (threshold, load)."""
-    shares, errors = np.empty(len(points)), np.empty(len(points))
-    pieces = range(min(processes, len(points)))
-    with ThreadPoolExecutor(processes) as pool:
-
-        def run(piece: int) -> Floats:
-            lines = [f"{x!r} {int(t)} {entries}" for t, x in points[piece::processes].tolist()]
-            return answers("renewal_gate", [str(seed + piece), *lines])
-
-        for piece, found in zip(pieces, pool.map(run, pieces), strict=True):
-            _, threshold, cycles, total, squares = found.T
-            mean = total / cycles
-            error = np.sqrt((squares / cycles - mean**2) / cycles)
-            out = (threshold + 1.0) / mean
-            shares[piece::processes], errors[piece::processes] = 1.0 - out, out * error / mean
+    with ProcessPoolExecutor(processes) as pool:
+        found = [pool.submit(simulated, int(threshold), load, entries, seed + at)
+                 for at, (threshold, load) in enumerate(points.tolist())]  # fmt: skip
+        shares, errors = np.transpose([one.result() for one in found])
     return shares, errors
 
 
@@ -156,13 +141,7 @@ def checks(gate: RenewalGate, shares: Floats, errors: Floats) -> list[dict[str, 
 
 def read_solutions(path: Path) -> tuple[Floats, Floats]:
     """Read a file of `--data`: the rows of the grid, and the share of each."""
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("error")  # it only warns of an empty file
-            table = np.loadtxt(existing_file(path), delimiter=",", ndmin=2)
-    except (ValueError, UserWarning) as problem:
-        raise InputError(f"{path}: not the numbers of a fit: {problem}") from problem
-    wanted = (len(grid()), grid().shape[1] + 1)
-    if table.shape != wanted or not np.isfinite(table).all():
-        raise InputError(f"{path}: not the {wanted[0]} rows of {wanted[1]} numbers of a fit")
+    table, rows = np.loadtxt(existing_file(path), delimiter=",", ndmin=2), len(grid())
+    if table.shape != (rows, 5) or not np.isfinite(table).all():
+        raise InputError(f"{path}: not the {rows} rows of 5 numbers of a fit")
     return table[:, :-1], table[:, -1]

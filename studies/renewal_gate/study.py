@@ -1,12 +1,12 @@
 """Makes `renewal_fit.json`: solves the renewal gate's equations on a grid and fits its share.
 
-Runs `renewal_closure` (programs) at pairs of threshold and load: order 2, with 8 cells to
+Solves them (`equations.py`) at pairs of threshold and load: order 2, with 8 cells to
 a time l/2 everywhere, with 16 for small thresholds (the cells' error falls with their width to the
 power 1.5), and orders 2 and 3 with 6 cells at a few thresholds. Both differences are small and
 smooth; polynomials for them correct the grid, and one for the whole (the logit of the share less
 that of the closed form for exponential times) is what `renewal.py` reads. T = 1 is known exactly.
-Hours on one core; `--data` keeps the solutions. With `--entries` the checks are simulated anew by
-`renewal_gate`; otherwise the last simulations (4e8 entries each) are compared with again.
+Hours on one core; `--data` keeps the solutions. With `--entries` the checks are simulated anew;
+otherwise the last simulations (4e8 entries each) are compared with again.
 """
 
 from __future__ import annotations

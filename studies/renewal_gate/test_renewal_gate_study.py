@@ -2,25 +2,14 @@
 
 from __future__ import annotations
 
-import subprocess
-
 import numpy as np
 import pytest
 
 from postproc.theory.renewal import RENEWAL, share_of_one
-from studies.common.study import ROOT
 from studies.renewal_gate import fit
 
-# Builds both programs.
-pytestmark = pytest.mark.full
+pytestmark = pytest.mark.full  # a minute
 ACCURACY = 2e-5
-
-
-@pytest.fixture(scope="module", autouse=True)
-def _programs() -> None:
-    command = ["make", "build/bin/renewal_closure", "build/bin/renewal_gate"]
-    done = subprocess.run(command, cwd=ROOT, check=False, capture_output=True, text=True)
-    assert done.returncode == 0, done.stdout + done.stderr
 
 
 @pytest.fixture(scope="module")
@@ -49,7 +38,7 @@ def test_fit_agrees_with_the_equations(
     assert 0.0 < abs(solved[3, 2.5, 3, 4] - solved[3, 2.5, 2, 4]) < 1e-4
 
 
-def test_program_renewal_gate_agrees_with_the_fit() -> None:
+def test_simulation_agrees_with_the_fit() -> None:
     points = np.array([[2, 2.0], [7, 5.0], [1, 1.0]])
     shares, errors = fit.simulate(points, 400_000, processes=2)
     assert np.all(errors < 0.005)

@@ -15,8 +15,9 @@ import numpy as np
 import postproc
 from postproc.figures import style
 from studies.common import event_log, geometry, study
-from studies.common.event_log import CROSSING2, mean_of_groups
+from studies.common.event_log import CROSSING2
 from studies.common.geometry import DISC, IRRATIONAL, REGULAR, SQUARE
+from studies.common.numbers import bars, said, with_errors
 from studies.common.theories import told
 
 if TYPE_CHECKING:
@@ -69,10 +70,8 @@ class Runs:
         data, rows = postproc.open_results(made).squeeze(), []
         for threshold in THRESHOLDS:
             point = data.sel(threshold=threshold) if "threshold" in data.dims else data
-            row = {"threshold": float(threshold)}
-            for name in ("chi", "polarised_current"):
-                row[name], row[f"{name}_error"] = mean_of_groups(point[name].to_numpy())
-            rows.append(row)
+            seen = {name: point[name].to_numpy() for name in ("chi", "polarised_current")}
+            rows.append({"threshold": float(threshold), **with_errors(**seen)})
         return rows
 
     def returns(self, shape: str) -> Rows:
@@ -86,13 +85,13 @@ class Runs:
                 run={"duration": 4.0 * self.duration}, output={"event_log": True},
             )  # fmt: skip
             events = event_log.particle_events(event_log.read_log(made))
-            share, stay = (mean_of_groups(one) for one in event_log.after_channel2(events))
+            seen = dict(zip(("return", "stay"), event_log.after_channel2(events), strict=True))
+            found = with_errors(**seen)
             chance = width / (width + 0.3)
             count = int(np.count_nonzero((events.kind == CROSSING2) & (events.after >= 0)))
             rows.append({
                 "channel2_width": width, "visits": count, "chance": chance,
-                "return": share[0], "return_error": share[1], "stay": stay[0],
-                "stay_error": stay[1], "binomial": math.sqrt(share[0] * (1.0 - share[0]) / count),
+                **found, "binomial": math.sqrt(found["return"] * (1.0 - found["return"]) / count),
             })  # fmt: skip
         return rows
 
@@ -105,11 +104,8 @@ class Runs:
         )  # fmt: skip
         seen = event_log.entries_of(event_log.particle_events(event_log.read_log(made)))
         values = event_log.autocorrelations(*seen, np.array(LAGS), 0.5 * duration)
-        rows = []
-        for lag, column in zip(LAGS, values.T, strict=True):
-            mean, error = mean_of_groups(column)
-            rows.append({"lag": lag, "correlation": mean, "correlation_error": error})
-        return rows
+        return [{"lag": lag, **with_errors(correlation=column)}
+                for lag, column in zip(LAGS, values.T, strict=True)]  # fmt: skip
 
 
 def measure(work: study.Study, replicas: int, duration: float) -> Found:
@@ -142,10 +138,8 @@ def well_mixed() -> Rows:
 
 def _bars(axes: Axes, by_shape: dict[str, Rows], across: str, up: str, line: str = "none") -> None:
     for shape, (marker, colour) in LOOKS.items():
-        rows = by_shape[shape]
-        x, y, error = ([row[name] for row in rows] for name in (across, up, f"{up}_error"))
-        axes.errorbar(x, y, error, marker=marker, ms=3.5, mfc="none", color=colour, ls=line,
-                      lw=0.8, label=shape)  # fmt: skip
+        bars(axes, by_shape[shape], across, up, marker=marker, mfc="none", color=colour, ls=line,
+             lw=0.8, label=shape)  # fmt: skip
 
 
 def figure(found: Found) -> Figure:
@@ -174,17 +168,13 @@ def figure(found: Found) -> Figure:
     return made
 
 
-def _number(row: Row, name: str, digits: int) -> str:
-    return f"{row[name]:.{digits}f} ± {row[f'{name}_error']:.{digits}f}"
-
-
 def write_tables(work: study.Study, found: Found) -> None:
     """Write the tables of the page: names, and those of the transients and starts beside them."""
     mixed = {row["threshold"]: row for row in found["well mixed"]["renewal"]}
     for kind, name in itertools.product(KINDS, ("chi", "polarised_current")):
         title = "chi" if name == "chi" else "net current"
         work.table(f"{kind}_{name}", ["T", f"{title}, {DISC}", *list(LOOKS)[1:], "well mixed"], [
-            [f"{rows[0]['threshold']:g}", *(_number(row, name, 3) for row in rows),
+            [f"{rows[0]['threshold']:g}", *(said(row, name, 3) for row in rows),
              f"{mixed[rows[0]['threshold']][name]:.3f}"]
             for rows in zip(*found[kind].values(), strict=True)
         ])  # fmt: skip
@@ -193,12 +183,12 @@ def write_tables(work: study.Study, found: Found) -> None:
             "binomial errors"]  # fmt: skip
     work.table("returns", head, [
         [shape, *itertools.chain(*(
-            (_number(row, "return", 4), f"{row['return'] / row['chance']:.2f}") for row in rows)),
+            (said(row, "return", 4), f"{row['return'] / row['chance']:.2f}") for row in rows)),
          ", ".join(f"{row['binomial']:.4f}" for row in rows)]
         for shape, rows in found["returns"].items()
     ])  # fmt: skip
     work.table("directions", ["visits", *LOOKS], [
-        [f"{rows[0]['lag']}", *(_number(row, "correlation", 3) for row in rows)]
+        [f"{rows[0]['lag']}", *(said(row, "correlation", 3) for row in rows)]
         for rows in zip(*found["directions"].values(), strict=True)
     ])  # fmt: skip
 

@@ -12,15 +12,12 @@ import numpy as np
 import pytest
 
 from studies.common import event_log, geometry
-from studies.common.event_log import Circuit
 from studies.common.study import Study
 from studies.shapes import study as shapes
 
-pytestmark = pytest.mark.usefixtures("theory_in_process")  # before `made`, as that is requested
-
 
 def test_all_urns_have_the_area_of_the_disc() -> None:
-    area = Circuit(channel2_width=0.05).urn_area
+    area = geometry.urn_area(0.05)
     given = geometry.shapes(0.05)
     for name in (geometry.SQUARE, geometry.REGULAR):
         angles = 2.0 * np.pi * np.arange(given[name]["urn_sides"]) / given[name]["urn_sides"]

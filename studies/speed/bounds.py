@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import statistics
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -13,7 +12,7 @@ from rich.table import Table
 from postproc import cli
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Iterable, Sequence
 
 FORMAT = "battery-bench-1"
 RATES = {
@@ -30,6 +29,7 @@ SUBJECTS = {
     "collision": "time",
     "map": "collisions",
 }
+Key = tuple[Any, ...]
 CASE = ("engine", "number", "threshold", "channel1_width", "channel2_width", "sides")
 
 MAP_POINTS, MAP_COLLISIONS = 25 * 25, 1e8
@@ -65,59 +65,36 @@ class Figure:
         return median >= self.bound if self.at_least else median <= self.bound
 
 
-Key = tuple[Any, ...]
-
-
 class Rows:
-    """The rows of all tables of one run."""
+    """The rows of all tables of one run, by table and case."""
 
     def __init__(self, rows: Sequence[dict[str, Any]]) -> None:
-        self._rows: dict[Key, dict[str, Any]] = {}
-        self._first: dict[str, Key] = {}
+        self.by_key: dict[Key, dict[str, Any]] = {}
+        self.first: dict[str, Key] = {}  # of each table; its costs are relative to this row
         for row in rows:
             key = (row["table"], *(({"sides": 0} | row)[name] for name in CASE))
-            self._rows[key] = row
-            self._first.setdefault(row["table"], key)
-
-    def __iter__(self) -> Iterator[Key]:
-        """Iterate over the keys: table, engine, number, threshold, widths."""
-        return iter(self._rows)
-
-    def __contains__(self, key: Key) -> bool:
-        """Tell whether there is such a row."""
-        return key in self._rows
+            self.by_key[key] = row
+            self.first.setdefault(row["table"], key)
 
     def rates(self, key: Key, rate: str) -> tuple[float, ...]:
         """Return a rate (of `RATES`) of a row, one value for each round."""
-        return tuple(self._rows[key][RATES[rate]])
+        return tuple(self.by_key[key][RATES[rate]])
 
     def costs(self, key: Key, reference: Key | None = None) -> tuple[float, ...]:
         """Return the cost of a row relative to the first or another row, a value for each round."""
         rate = SUBJECTS.get(key[0], "collisions")
-        base = self.rates(reference or self._first[key[0]], rate)
+        base = self.rates(reference or self.first[key[0]], rate)
         return tuple(one / other for one, other in zip(base, self.rates(key, rate), strict=True))
 
-    def is_first(self, key: Key) -> bool:
-        """Tell whether the costs of the row's table are relative to this row."""
-        return self._first[key[0]] == key
-
-    def find(self, table: str, **wanted: Any) -> Key:  # noqa: ANN401 (strings and numbers)
+    def find(self, table: str, **wanted: float | str) -> Key:
         """Return the one row of a table whose case has these values."""
-        places = {name: 1 + CASE.index(name) for name in wanted}
         found = [
-            key
-            for key in self._rows
-            if key[0] == table and all(_same(key[at], wanted[name]) for name, at in places.items())
-        ]
+            key for key, row in self.by_key.items() if row["table"] == table and all(
+                row.get(name, 0) == value for name, value in wanted.items())
+        ]  # fmt: skip
         if len(found) != 1:
             raise cli.InputError(f"{len(found)} rows of table {table} have {wanted}")
         return found[0]
-
-
-def _same(one: Any, other: Any) -> bool:  # noqa: ANN401 (strings and numbers)
-    if isinstance(other, float):
-        return math.isclose(one, other, rel_tol=1e-4)
-    return one == other
 
 
 def figures(
@@ -138,7 +115,7 @@ def figures(
     few, many = (rows.find("number", number=number) for number in (1000, 1_000_000))
     discs = [rows.find("lorentz", engine=name) for name in ("excursion", "collision")]
     hexagon = rows.find("visits", sides=6, channel2_width=0.01)
-    samples = [rows.rates(key, "collisions") for key in rows if key[0] == "map"]
+    samples = [rows.rates(key, "collisions") for key in rows.by_key if key[0] == "map"]
     minutes = [
         MAP_POINTS * statistics.mean(MAP_COLLISIONS / rate for rate in turn) / 60.0
         for turn in zip(*samples, strict=True)
@@ -167,23 +144,29 @@ def value_text(value: float) -> str:
     return f"{value:.2e}".replace("e+0", "e") if abs(value) >= 1e4 else f"{value:.4g}"
 
 
+def printed(title: str, rows: Iterable[Sequence[str]], *heads: str) -> Table:
+    """Return a table whose columns but the first and those without a head are right-aligned."""
+    table = Table(title=title, title_justify="left", caption_justify="left", box=box.SIMPLE,
+                  pad_edge=False, collapse_padding=True)  # fmt: skip
+    for at, head in enumerate(heads):
+        table.add_column(head, justify="right" if at and head else "left", no_wrap=not at)
+    for row in rows:
+        table.add_row(*row)
+    return table
+
+
 def summary(found: Sequence[Figure]) -> Table:
     """Return the figures beside their bounds."""
-    table = Table(
-        title="What must be reached", title_justify="left", caption_justify="left",
-        box=box.SIMPLE, pad_edge=False, collapse_padding=True,
-    )  # fmt: skip
-    table.add_column("figure", no_wrap=True)
-    for name in ("median", "least", "most", "bound", "aim"):
-        table.add_column(name, justify="right", no_wrap=True)
-    table.add_column("", no_wrap=True)
     verdicts = {True: "[green]reached", False: "[red bold]NOT reached", None: "not measured"}
+    rows = []
     for one in found:
         seen = ["", "", ""]
         if one.values:
             seen = [value_text(of(one.values)) for of in (statistics.median, min, max)]
         bound = f"{'>=' if one.at_least else '<='} {value_text(one.bound)}"
         aim = "" if one.aim is None else value_text(one.aim)
-        table.add_row(one.name, *seen, bound, aim, verdicts[one.reached])
+        rows.append([one.name, *seen, bound, aim, verdicts[one.reached]])
+    heads = ("figure", "median", "least", "most", "bound", "aim", "")
+    table = printed("What must be reached", rows, *heads)
     table.caption = "\n".join(f"{one.name}: {one.note}" for one in found if one.note)
     return table

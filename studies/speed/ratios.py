@@ -8,14 +8,14 @@ import subprocess
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from rich import box
-from rich.table import Table
-
 from postproc import cli
+from studies.speed.bounds import printed
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
+
+    from rich.table import Table
 
 ROUNDS = 5
 # engine, number, threshold, widths and collisions of `bench single`: a second or so each
@@ -67,11 +67,6 @@ def ratio(name: str, old: Path, new: Path, rounds: int) -> Ratio:
 
 def table_of(found: Sequence[Ratio]) -> Table:
     """Return ratios as a table: median, least and most of the pairs."""
-    table = Table(title="Times as fast as the base", box=box.SIMPLE, title_justify="left")
-    table.add_column("", no_wrap=True)
-    for name in ("median", "least", "most"):
-        table.add_column(name, justify="right", no_wrap=True)
-    for one in found:
-        seen = (of(one.values) for of in (statistics.median, min, max))
-        table.add_row(one.name, *(f"{value:.2f}" for value in seen))
-    return table
+    rows = [[one.name, *(f"{of(one.values):.2f}" for of in (statistics.median, min, max))]
+            for one in found]  # fmt: skip
+    return printed("Times as fast as the base", rows, "point", "median", "least", "most")

@@ -1,6 +1,6 @@
 """Benchmarks: tables of the speed, required figures, and changes.
 
-`run` (`make bench`) lets build/bin/bench print its tables, takes the peak memory of a run of 1e7
+`run` (`make bench`) lets build/bin/bench measure its tables, takes the peak memory of a run of 1e7
 particles, counts instructions where valgrind is installed, prints the figures beside their bounds
 and writes everything as JSON in build/bench. All times are taken by the Fortran program itself,
 processor time.
@@ -24,7 +24,7 @@ from rich.console import Console
 from postproc import cli
 from studies.common import study
 from studies.common.study import ROOT
-from studies.speed.benchmarks import run, said
+from studies.speed.benchmarks import run
 from studies.speed.changes import changes, load, table_of
 from studies.speed.ratios import POINTS, ROUNDS, ratio
 from studies.speed.ratios import table_of as table_of_ratios
@@ -37,7 +37,8 @@ def compare(old: Path, new: Path, console: Console) -> None:
     before, after = load(old), load(new)
     found = changes(before, after)
     for name, one in (("old", before), ("new", after)):
-        console.print(said(name, one), soft_wrap=True, highlight=False, markup=False)
+        about = (str(one.about.get(key, "unknown")) for key in ("date", "processor", "commit"))
+        console.print(f"{name}: {', '.join(about)}", soft_wrap=True, highlight=False, markup=False)
     for title, part in found:
         console.print(table_of(title, part))
     marked = sum(bool(one.mark) for _, part in found for one in part)

@@ -19,7 +19,7 @@ from studies.common.probes import EPSILON, PRECISIONS, Answer, Question, ask
 from studies.common.text import number
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
@@ -177,6 +177,16 @@ def horizon(row: dict[str, Any]) -> float:
     return float(time[at - 1] + share * (time[at] - time[at - 1]))
 
 
+def predicted_horizon(rate: float) -> dict[str, float]:
+    """Return by precision when an error of rounding has grown to `ASTRAY`."""
+    return {name: math.log(ASTRAY / eps) / rate for name, eps in EPSILON.items()}
+
+
+def by_name(rows: Sequence[dict[str, Any]], of: Callable[[dict], float]) -> dict[str, float]:
+    """Return a number of each row by engine and precision."""
+    return {f"{row['engine']} {row['precision']}": of(row) for row in rows}
+
+
 def orders(rows: Sequence[dict[str, Any]], gate: str, precision: str) -> dict[str, float]:
     """Return the orders of `timestep`: of positions, event times, and the share astray."""
     mine = [row for row in rows if row["engine"] == "timestep" and row["gate"] == gate
@@ -310,22 +320,23 @@ def table(work: study.Study, numbers: dict[str, Any]) -> None:
     work.table("growth", head, rows)
 
 
-def run(work: study.Study) -> None:
-    """Run all engines in all precisions; draw `cost` and `growth`."""
+def asked(work: study.Study, questions: Sequence[Question]) -> tuple[dict, list[Answer]]:
+    """Return the growth rate of the tangent map, and the answers to questions about the start."""
     work.folder.mkdir(parents=True, exist_ok=True)
     (work.folder / "start.txt").write_text(start_file(NUMBER), encoding="utf-8")
+    words = ("lyapunov", str(WIDTH1), str(WIDTH2), str(int(work.pick(2000, 20000))), "2000")
+    ((tangent,), *answers) = ask(work, [Question("lyapunov", "real64", words), *questions])
+    return tangent, answers
+
+
+def run(work: study.Study) -> None:
+    """Run all engines in all precisions; draw `cost` and `growth`."""
     todo = cases()
-    lyapunov = Question(
-        "lyapunov", "real64",
-        ("lyapunov", str(WIDTH1), str(WIDTH2), str(int(work.pick(2000, 20000))), "2000"),
-    )  # fmt: skip
     same_start = Question(
         "lyapunov-start", "real64",
         ("lyapunov", str(WIDTH1), str(WIDTH2), str(NUMBER), "250", "start.txt"),
     )  # fmt: skip
-    ((tangent,), (same,), *answers) = ask(
-        work, [lyapunov, same_start, *(case.question() for case in todo)]
-    )
+    tangent, ((same,), *answers) = asked(work, [same_start, *(case.question() for case in todo)])
     truth = {case.gate: answer for case, answer in zip(todo, answers, strict=True)
              if (case.engine, case.precision) == REFERENCE}  # fmt: skip
     rows = [measure(case, answer, truth[case.gate])
@@ -336,11 +347,10 @@ def run(work: study.Study) -> None:
     found = {
         "number": NUMBER, "lyapunov": rate, "lyapunov_error": float(tangent["error"]),
         "lyapunov_same_start": float(same["second_half"]),
-        "fitted": {f"{row['engine']} {row['precision']}": fit_growth(row) for row in compared},
-        "horizon": {f"{row['engine']} {row['precision']}": horizon(row) for row in compared},
-        "horizon_gated": {f"{row['engine']} {row['precision']}": horizon(row)
-                          for row in find(rows, gate="gated") if row["engine"] in EXACT},
-        "predicted_horizon": {name: math.log(ASTRAY / eps) / rate for name, eps in EPSILON.items()},
+        "fitted": by_name(compared, fit_growth), "horizon": by_name(compared, horizon),
+        "horizon_gated": by_name(
+            [row for row in find(rows, gate="gated") if row["engine"] in EXACT], horizon),
+        "predicted_horizon": predicted_horizon(rate),
         "order": {gate: orders(rows, gate, "real64") for gate in GATES},
         "rows": rows,
     }  # fmt: skip

@@ -13,16 +13,16 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from postproc.figures import style
-from studies.common.probes import EPSILON, PRECISIONS, Question, ask
+from studies.common.probes import EPSILON, PRECISIONS, Question
 from studies.common.text import number
 from studies.trajectories.growth import (
     ASTRAY,
     COLOUR,
     NUMBER,
-    WIDTH1,
-    WIDTH2,
+    asked,
+    by_name,
     horizon,
-    start_file,
+    predicted_horizon,
 )
 
 if TYPE_CHECKING:
@@ -95,19 +95,12 @@ def table(work: study.Study, numbers: dict[str, Any]) -> None:
 
 def run(work: study.Study) -> None:
     """Run forwards and back; store the numbers, draw `reversal`."""
-    work.folder.mkdir(parents=True, exist_ok=True)
-    (work.folder / "start.txt").write_text(start_file(NUMBER), encoding="utf-8")
-    lyapunov = Question(
-        "lyapunov", "real64",
-        ("lyapunov", str(WIDTH1), str(WIDTH2), str(int(work.pick(2000, 20000))), "2000"),
-    )  # fmt: skip
-    ((tangent,), *answers) = ask(work, [lyapunov, *questions()])
+    tangent, answers = asked(work, questions())
     rate = float(tangent["lyapunov"])
     rows = [measure(answer) for answer in answers]
     found = {
         "lyapunov": rate, "number": NUMBER,
-        "predicted_horizon": {name: math.log(ASTRAY / eps) / rate for name, eps in EPSILON.items()},
-        "horizon": {f"{row['engine']} {row['precision']}": horizon(row) for row in rows},
+        "predicted_horizon": predicted_horizon(rate), "horizon": by_name(rows, horizon),
         "rows": rows,
     }  # fmt: skip
     work.keep("reversal", found)

@@ -278,6 +278,12 @@ contains
 
     if (before <= 0.0_wp) return
     from = merge(channel1, channel2, position(1) > 0.0_wp)
+    ! At the end of an arc rounding finds a hit, before which the particle would leave the urn.
+    if (facing(from)*velocity(1) > 0.0_wp) then
+      velocity = velocity - 2.0_wp*dot_product(velocity, position)/dot_product(position, position) &
+        *position
+      hits = hits + 1_int64
+    end if
     call fold_into_channel(position(2) - velocity(2)*before, urn%width(from), height, reflected, &
       passed)
     ! However slow the particle is, it stays in this urn's half of the channel.

@@ -29,7 +29,7 @@ program accuracy
     print '(a)', 'usage: accuracy trajectory ENGINE STEP FILE NUMBER THRESHOLD TIME ...', &
       '       accuracy reversal ENGINE STEP FILE NUMBER TIME ...', &
       '       accuracy lyapunov WIDTH1 WIDTH2 NUMBER TIME [FILE]', &
-      '       accuracy visits URN WIDTH1 WIDTH2 COUNT INPUT_BITS FILE [OTHER]', &
+      '       accuracy visits URN WIDTH1 WIDTH2 COUNT INPUT_BITS FILE', &
       '       accuracy stability ENGINE COLLISIONS SECONDS', &
       '       accuracy photon ENGINE'
   end select

@@ -13,7 +13,7 @@ module battery_probe
   private
   public :: argument, real_argument, integer_argument, rounded_to_bits, precision_name, &
     paper_table, start_engine
-  public :: advance_for, json_list, print_json_line, stop_with_message, processor_seconds
+  public :: advance_for, json_list, print_json_line, stop_with_message
 
 contains
 
@@ -166,12 +166,5 @@ contains
 
     error stop 'accuracy: '//message
   end subroutine stop_with_message
-
-  !> Processor time of this process, in seconds.
-  function processor_seconds() result(seconds)
-    real(dp) :: seconds
-
-    call cpu_time(seconds)
-  end function processor_seconds
 
 end module battery_probe

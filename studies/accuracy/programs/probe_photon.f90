@@ -2,14 +2,12 @@
 !> have their centres at the integer points of the plane, and a photon of speed 1 starts at
 !> (1/2, 1/10) in the direction of x: its distance from the origin at time 10.
 module battery_probe_photon
-  use battery_kinds, only: wp, int64
-  use battery_error, only: error_type
+  use battery_kinds, only: wp
   use battery_table, only: table_type, urn_type, channel_type, new_table, shape_circuit, &
     has_scatterers
   use battery_engine, only: engine_type, particles_type
   use battery_event_record, only: event_record_type
-  use battery_engines, only: new_engine
-  use battery_probe, only: argument, precision_name
+  use battery_probe, only: argument, precision_name, start_engine, advance_for
   implicit none (type, external)
   private
   public :: photon_main
@@ -20,11 +18,10 @@ contains
   subroutine photon_main()
     real(wp), parameter :: published = 0.99526291944335416089031180942672_wp
     class(engine_type), allocatable :: engine
-    type(error_type), allocatable :: error
     type(particles_type) :: photon
     type(event_record_type) :: event_record
     type(table_type) :: table
-    real(wp) :: elapsed, distance
+    real(wp) :: distance
 
     table = table_of_mirrors()
     if (.not. has_scatterers(table)) error stop 'no mirrors'
@@ -32,14 +29,8 @@ contains
     photon%y = [0.1_wp]
     photon%ux = [1.0_wp]
     photon%uy = [0.0_wp]
-    call new_engine(argument(2), engine, error)
-    if (allocated(error)) error stop 'there is no such engine'
-    call engine%start(table, 1, photon, 0.0_wp)
-    elapsed = 0.0_wp
-    do while (elapsed < 10.0_wp)
-      call engine%advance(10.0_wp - elapsed, event_record)
-      elapsed = elapsed + event_record%duration
-    end do
+    call start_engine(argument(2), table, 1, photon, 0.0_wp, engine)
+    call advance_for(engine, 10.0_wp, event_record)
     call engine%get_particles(1, 1, photon)
     distance = hypot(photon%x(1) - sign(table%urn(1)%periodic_line, photon%x(1)), photon%y(1))
     print '(a, 1x, i0, 1x, f0.32, 1x, es9.1)', precision_name(), engine%collisions(), distance, &

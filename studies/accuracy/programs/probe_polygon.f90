@@ -1,11 +1,6 @@
-!> Condition numbers of single visits to a polygon, for the probe of visits.
-!>
-!> Walls are straight, so errors grow in proportion to the length. To first order, each of the n
-!> wall hits changes the direction by at most twice the rounding error of its side, and a change of
-!> the direction by eps moves a point at the distance l by l eps. So the condition number of the
-!> direction is K_u = 1 + 2 n, and that of a position is (l + r) K_u, with l the length of the path
-!> and r the reach of the polygon. At the opening, which the path meets at an angle, those of the
-!> height and of the length are K_y = (l + r) K_u/|u_x| and K_l = (l + r) K_u + |u_y| K_y.
+!> Urns that are polygons, for the probe of visits, and how close a path passes to a corner, over the
+!> condition number of the position there: (length of the path + reach of the polygon)(1 + 2 wall
+!> hits), see `studies/common/visits.py`.
 module battery_probe_polygon
   use battery_kinds, only: wp
   use battery_channel, only: channel_type, channel1, channel2, facing
@@ -16,11 +11,7 @@ module battery_probe_polygon
   use battery_probe, only: rounded_to_bits, stop_with_message
   implicit none (type, external)
   private
-  public :: polygon_table, polygon_conditions, polygon_tolerance, least_corner_distance
-
-  !> Tolerance for a tie at a corner, in units of the change of the start (that of discs is
-  !> `corner_tolerance`). The polygon itself tolerates rounding errors of a position of this size.
-  real(wp), parameter :: polygon_tolerance = 128.0_wp
+  public :: polygon_table, least_corner_distance
 
 contains
 
@@ -48,19 +39,6 @@ contains
     if (.not. table%urn(1)%fits) call &
       stop_with_message('where the axis leaves the urn it must be '//'upright, and wide enough')
   end function polygon_table
-
-  !> Condition numbers of the height, the direction and the length at the end of a visit.
-  pure function polygon_conditions(polygon, length, hits, u_axial, u_lateral) result(k)
-    type(polygon_type), intent(in) :: polygon
-    !> Length of the path, number of wall hits; |u_x| and u_y at the end.
-    real(wp), intent(in) :: length, hits, u_axial, u_lateral
-    real(wp) :: k(3), k_position
-
-    k(2) = 1.0_wp + 2.0_wp*hits
-    k_position = (length + polygon%reach)*k(2)
-    k(1) = k_position/abs(u_axial)
-    k(3) = k_position + abs(u_lateral)*k(1)
-  end function polygon_conditions
 
   !> Least distance of the path of a passage from a corner or from the end of an opening, divided by
   !> the condition number of the position there.

@@ -2,6 +2,7 @@
 !> positions after all velocities are reversed and the run is repeated.
 module battery_probe_trajectory
   use battery_kinds, only: wp, dp, int64
+  use battery_clocks, only: cpu_seconds
   use battery_error, only: error_type
   use battery_text, only: to_text
   use battery_table, only: table_type
@@ -10,7 +11,7 @@ module battery_probe_trajectory
   use battery_initial_state, only: read_particles
   use battery_sampling, only: event_log_type, append_events
   use battery_probe, only: argument, real_argument, integer_argument, precision_name, paper_table, &
-    start_engine, advance_for, json_list, print_json_line, stop_with_message, processor_seconds
+    start_engine, advance_for, json_list, print_json_line, stop_with_message
   implicit none (type, external)
   private
   public :: trajectory_main, reversal_main
@@ -50,13 +51,13 @@ contains
     elapsed = 0.0_wp
     spent = 0.0_dp
     do k = 1, size(one%times)
-      began = processor_seconds()
+      began = cpu_seconds()
       do while (one%times(k) - elapsed > 4.0_wp*epsilon(1.0_wp)*one%times(k))
         call engine%advance(one%times(k) - elapsed, event_record)
         call append_events(log, event_record, elapsed)
         elapsed = elapsed + event_record%duration
       end do
-      spent = spent + (processor_seconds() - began)
+      spent = spent + (cpu_seconds() - began)
       call engine%get_particles(1, engine%number, state)
       call print_json_line('{"time": '//to_text(real(one%times(k), dp))//', "x": ' &
         //json_list(state%x)//', "y": '//json_list(state%y)//'}')
@@ -126,9 +127,9 @@ contains
     time = 0.0_dp
     do
       call start_engine(one%engine, one%table, one%threshold, one%particles, one%step, engine)
-      began = processor_seconds()
+      began = cpu_seconds()
       call advance_for(engine, one%times(size(one%times)), event_record)
-      spent = spent + (processor_seconds() - began)
+      spent = spent + (cpu_seconds() - began)
       time = time + real(one%times(size(one%times)), dp)
       if (spent > least_seconds) exit
     end do

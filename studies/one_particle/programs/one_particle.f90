@@ -6,13 +6,13 @@
 !> each with all of these values; the fraction `urn2_share` of the walkers starts in urn 2, and
 !> `well_mixed` is T or F. Writes for each the line
 !>
-!>     half2_number flow1_12 flow1_21 flow2_12 flow2_21 entries1 entries2 turned1 turned2
-!>     fuller_number polarised_current
+!>     flow1_12 flow1_21 flow2_12 flow2_21 entries1 entries2 turned1 turned2
+!>     half2_number fuller_number polarised_current
 !>
 !> per copy of the circuit; `turned1` and `turned2` are the particles that gates 1 and 2 reverse.
 !> Flows, entries, particles reversed and the current are per unit time.
 !> `fuller_number` and `polarised_current` refer to the half that is fuller at the time. Units of
-!> length and time are those of the namelist. Called by `postproc.theory.one_particle`.
+!> length and time are those of the namelist. Called by `walkers.py`.
 program one_particle
   use, intrinsic :: iso_fortran_env, only: input_unit, output_unit
   use battery_kinds, only: wp, int64
@@ -21,8 +21,7 @@ program one_particle
   use battery_engine, only: particles_type
   use battery_initial_state, only: random_particles
   use battery_walkers, only: walkers_type, new_walkers, advance_walkers
-  use battery_tally, only: entry_rate, crossing_rate, reversed_rate, half2_mean, fuller_mean, &
-    polarised_current
+  use battery_tally, only: averages
   implicit none (type, external)
   integer :: number, threshold(2), copies, status
   real(wp) :: radius(2), width1, length1, width2, length2, share, transient, duration
@@ -36,9 +35,7 @@ program one_particle
       length2, share, copies, transient, duration, seed, well_mixed
     if (status /= 0) exit
     call run_walkers()
-    write (output_unit, '(11es24.16)') half2_mean(walkers%tally), crossing_rate(walkers%tally), &
-      entry_rate(walkers%tally), reversed_rate(walkers%tally), fuller_mean(walkers%tally, number), &
-      polarised_current(walkers%tally, number)
+    write (output_unit, '(*(es24.16))') averages(walkers%tally, number)
     flush (output_unit)
   end do
 

@@ -8,11 +8,17 @@ module battery_tally
   use battery_table, only: channel2
   implicit none (type, external)
   private
-  public :: tally_type, new_tally, add_entry, add_reversed, add_crossing
-  public :: entry_rate, reversed_rate, crossing_rate, half2_mean, fuller_mean, polarised_current
+  public :: tally_type, new_tally, add_count, add_crossing, averages
+  public :: entered, reversed, half2, fuller, polarised_current, averages_size
 
   !> Approximate length of a block of time.
   real(wp), parameter :: block_duration = 100.0_wp
+  !> Places in the counts, to which the urn is added, 1 or 2: crossings of channel 1 from the urn,
+  !> and two places later of channel 2; entries and particles reversed by the gate of the urn.
+  integer, parameter :: crossed = 0, entered = 4, reversed = 6
+  !> Places in the averages behind the counts: mean number in half 2; in the half that is fuller at
+  !> the time; net current of channel 2 from there.
+  integer, parameter :: half2 = 9, fuller = 10, polarised_current = 11, averages_size = 11
 
   !> Counts and integrals, summed over all copies of the circuit.
   type :: tally_type
@@ -20,8 +26,7 @@ module battery_tally
     !> Start and end of the interval that is measured.
     real(wp) :: from = 0.0_wp, to = 0.0_wp
     integer :: copies = 1
-    !> Entries and particles reversed, by gate; crossings by (urn before it, channel).
-    integer(int64) :: entries(2) = 0, reversed(2) = 0, crossings(2, 2) = 0
+    integer(int64) :: counts(8) = 0
     !> Time integral of the number in half 2.
     real(wp) :: half2_sum = 0.0_wp
     !> Number in half 2 at the start; length of a block.
@@ -55,27 +60,16 @@ contains
     allocate (tally%change_integral(blocks), source=0.0_wp)
   end function new_tally
 
-  !> Adds an entry into the gate of an urn.
-  pure subroutine add_entry(tally, urn, time)
+  !> Adds `number` to the count at a place.
+  pure subroutine add_count(tally, place, time, number)
     type(tally_type), intent(inout) :: tally
-    !> The urn, 1 or 2.
-    integer, intent(in) :: urn
+    integer, intent(in) :: place, number
     !> Time since the start.
     real(wp), intent(in) :: time
 
-    if (is_measured(tally, time)) tally%entries(urn) = tally%entries(urn) + 1
-  end subroutine add_entry
-
-  !> Adds particles that the gate of an urn reverses.
-  pure subroutine add_reversed(tally, urn, time, number)
-    type(tally_type), intent(inout) :: tally
-    !> The urn, 1 or 2; number of particles.
-    integer, intent(in) :: urn, number
-    !> Time since the start.
-    real(wp), intent(in) :: time
-
-    if (is_measured(tally, time)) tally%reversed(urn) = tally%reversed(urn) + number
-  end subroutine add_reversed
+    if (time > tally%from .and. time <= tally%to) &
+      tally%counts(place) = tally%counts(place) + number
+  end subroutine add_count
 
   !> Adds a crossing of the middle line of a channel.
   pure subroutine add_crossing(tally, urn, channel, time)
@@ -88,106 +82,39 @@ contains
     integer :: k, gain
 
     clipped_time = min(max(time, tally%from), tally%to)
-    remaining = tally%to - clipped_time
-    tally%half2_sum = tally%half2_sum + merge(remaining, -remaining, urn == 1)
     gain = merge(1, -1, urn == 1)
+    tally%half2_sum = tally%half2_sum + real(gain, wp)*(tally%to - clipped_time)
     k = min(int((clipped_time - tally%from)/tally%block) + 1, size(tally%change))
     tally%change(k) = tally%change(k) + gain
     remaining = tally%from + real(k, wp)*tally%block - clipped_time
     tally%change_integral(k) = tally%change_integral(k) + real(gain, wp)*remaining
-    if (.not. is_measured(tally, time)) return
-    tally%crossings(urn, channel) = tally%crossings(urn, channel) + 1
-    if (channel == channel2) tally%net_crossings(k) = tally%net_crossings(k) - gain
+    call add_count(tally, crossed + merge(2, 0, channel == channel2) + urn, time, 1)
+    if (channel == channel2 .and. time > tally%from .and. time <= tally%to) &
+      tally%net_crossings(k) = tally%net_crossings(k) - gain
   end subroutine add_crossing
 
-  !> Whether a time lies in the interval that is measured.
-  pure function is_measured(tally, time)
-    type(tally_type), intent(in) :: tally
-    real(wp), intent(in) :: time
-    logical :: is_measured
-
-    is_measured = time > tally%from .and. time <= tally%to
-  end function is_measured
-
-  !> Entries into the gate of each urn, per unit time and copy.
-  pure function entry_rate(tally) result(rate)
-    type(tally_type), intent(in) :: tally
-    real(wp) :: rate(2)
-
-    rate = real(tally%entries, wp)/measured_time(tally)
-  end function entry_rate
-
-  !> Particles reversed by each gate, per unit time and copy.
-  pure function reversed_rate(tally) result(rate)
-    type(tally_type), intent(in) :: tally
-    real(wp) :: rate(2)
-
-    rate = real(tally%reversed, wp)/measured_time(tally)
-  end function reversed_rate
-
-  !> Crossings by (urn before it, channel), per unit time and copy.
-  pure function crossing_rate(tally) result(rate)
-    type(tally_type), intent(in) :: tally
-    real(wp) :: rate(2, 2)
-
-    rate = real(tally%crossings, wp)/measured_time(tally)
-  end function crossing_rate
-
-  !> Mean number in half 2 of a copy, over the interval. Valid once all crossings of the interval
-  !> have been added.
-  pure function half2_mean(tally) result(number)
-    type(tally_type), intent(in) :: tally
-    real(wp) :: number
-
-    number = tally%half2_sum/measured_time(tally)
-  end function half2_mean
-
-  !> Mean number in half 2 minus half of all walkers, by block; summed over all copies.
-  pure function excess_in_half2(tally, number) result(excess)
+  !> Counts per unit time, and the other averages, of a copy. Valid once all crossings of the
+  !> interval have been added.
+  pure function averages(tally, number) result(found)
     type(tally_type), intent(in) :: tally
     !> Walkers of a copy, N.
     integer, intent(in) :: number
-    real(wp), allocatable :: excess(:)
-    real(wp) :: half
+    real(wp) :: found(averages_size)
+    !> By block, summed over all copies: mean number in half 2 minus half of all walkers.
+    real(wp) :: excess(size(tally%change)), half, time
     integer :: k, level
 
-    allocate (excess(size(tally%change)))
     half = 0.5_wp*real(number*tally%copies, wp)
     level = tally%in_half2
     do k = 1, size(excess)
       excess(k) = real(level, wp) - half + tally%change_integral(k)/tally%block
       level = level + tally%change(k)
     end do
-  end function excess_in_half2
-
-  !> Mean number in the fuller half of a copy; the fuller half is determined in each block.
-  pure function fuller_mean(tally, number) result(fuller)
-    type(tally_type), intent(in) :: tally
-    !> Walkers of a copy, N.
-    integer, intent(in) :: number
-    real(wp) :: fuller, excess(size(tally%change))
-
-    excess = excess_in_half2(tally, number)
-    fuller = 0.5_wp*real(number, wp) + sum(abs(excess))/real(size(excess)*tally%copies, wp)
-  end function fuller_mean
-
-  !> Net current through channel 2 from the fuller half to the other, per unit time and copy.
-  pure function polarised_current(tally, number) result(current)
-    type(tally_type), intent(in) :: tally
-    !> Walkers of a copy, N.
-    integer, intent(in) :: number
-    real(wp) :: current
-
-    current = sum(real(tally%net_crossings, wp)*sign(1.0_wp, excess_in_half2(tally, &
-      number)))/measured_time(tally)
-  end function polarised_current
-
-  !> Length of the interval times the number of copies.
-  pure function measured_time(tally) result(time)
-    type(tally_type), intent(in) :: tally
-    real(wp) :: time
-
     time = (tally%to - tally%from)*real(tally%copies, wp)
-  end function measured_time
+    found(:8) = real(tally%counts, wp)/time
+    found(half2) = tally%half2_sum/time
+    found(fuller) = 0.5_wp*real(number, wp) + sum(abs(excess))/real(size(excess)*tally%copies, wp)
+    found(polarised_current) = sum(real(tally%net_crossings, wp)*sign(1.0_wp, excess))/time
+  end function averages
 
 end module battery_tally

@@ -26,7 +26,7 @@ module battery_walkers
   use battery_visits, only: visits_type, reserve_visits, no_channel
   use battery_gate, only: gate_type, new_gate, enter_gate, must_reverse, uncount_first, &
     uncount_all, number_inside, counted_particle, next_crossing_time
-  use battery_tally, only: tally_type, new_tally, add_entry, add_reversed, add_crossing
+  use battery_tally, only: tally_type, new_tally, add_count, add_crossing, entered, reversed
   use battery_draws, only: draws_type, new_draws, next_uniform
   implicit none (type, external)
   private
@@ -209,7 +209,7 @@ contains
           call cross_middle_line(walkers, urn, gate)
         end do
         call enter_gate(gate, time + 0.5_wp*walkers%through(entrants(k)), entrants(k))
-        call add_entry(walkers%tally, urn, time)
+        call add_count(walkers%tally, entered + urn, time, 1)
         if (must_reverse(gate)) call reverse_gate(walkers, urn, gate, time)
       end do
       do while (next_crossing_time(gate) < window_end)
@@ -262,7 +262,7 @@ contains
         call begin_visit_from_gate(walkers, i, urn, 2.0_wp*(time - walkers%time(i)))
       end associate
     end do
-    call add_reversed(walkers%tally, urn, time, number_inside(gate))
+    call add_count(walkers%tally, reversed + urn, time, number_inside(gate))
     call uncount_all(gate)
   end subroutine reverse_gate
 

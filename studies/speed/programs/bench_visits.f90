@@ -3,7 +3,6 @@
 !> engine `excursion`.
 module battery_bench_visits
   use battery_kinds, only: wp, dp, int64
-  use battery_bench_rows, only: rate_type
   use battery_clocks, only: cpu_seconds
   use battery_random, only: hashed_uniform
   use battery_sampling, only: entry_of
@@ -12,7 +11,13 @@ module battery_bench_visits
   use battery_visits, only: visits_type, reserve_visits
   implicit none (type, external)
   private
-  public :: entrances_type, draw_entrances, measure_visits
+  public :: entrances_type, rate_type, draw_entrances, measure_visits
+
+  !> Rates of one round, per second of processor time: wall collisions, passages through an urn, and
+  !> simulated time summed over the particles.
+  type :: rate_type
+    real(dp) :: collisions = 0.0_dp, visits = 0.0_dp, particle_time = 0.0_dp
+  end type rate_type
 
   !> Number of passages in a batch, and of batches; all of them together fit into the cache.
   integer, parameter :: batch = 1024, batches = 32

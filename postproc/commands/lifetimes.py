@@ -1,8 +1,7 @@
-"""Finite N: N2 as a birth-death chain with the theory's rates, its distribution and lifetimes.
+"""Prints, as JSON, mean lifetimes of the homogeneous and the polarised state of a circuit.
 
-Prints, as JSON, the lifetimes of the homogeneous and the polarised state of a circuit.
-
-A particle goes from urn 1 to urn 2 at rate f(N - N2)/(pi A) and back at rate f(N2)/(pi A), with the
+At finite N, N2 is a birth-death chain with the theory's rates. A particle goes from urn 1 to urn 2
+at rate f(N - N2)/(pi A) and back at rate f(N2)/(pi A), with the
 outflows of eq. (eq007). If both kinds of state are stable (T = 2 in the paper), a state is left by
 fluctuations; its lifetime is the mean time from the state to the unstable one between them. The
 lifetimes of direction are within a factor of 2.1 of runs for T = 1 and 2. At larger T they are too
@@ -15,7 +14,7 @@ from __future__ import annotations
 import json
 
 from postproc import cli
-from postproc.circuit_options import beside, circuit_options, given_circuit, given_models
+from postproc.commands.circuit_options import beside, circuit_options, given_circuit, given_models
 from postproc.progress import doing
 
 
@@ -31,7 +30,3 @@ def main(arguments: list[str] | None = None) -> int:
             answers.append(cli.finite(vars(model.lifetimes(circuit))))
     print(json.dumps(beside(models, answers), indent=2))
     return 0
-
-
-if __name__ == "__main__":
-    raise SystemExit(cli.run(main))

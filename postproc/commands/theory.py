@@ -1,6 +1,6 @@
-"""Results of a theory for one circuit, as JSON: stationary states, transition.
+"""Prints, as JSON, the results of a theory for one circuit: stationary states, transition.
 
-Options are named like the keys of the namelist; lengths are over the speed v = 1. Without --model
+Options are named like the keys of the namelist; lengths are over the speed v = 1. Without --theory
 the results are those of window, the paper's theory, and under its own name those of direction, or
 of renewal if the urns are polygons. The net current of direction includes circulation, which is
 printed as well. It is that of a run of the given age, and net_current_infinite_age that which no
@@ -14,7 +14,7 @@ from __future__ import annotations
 import json
 
 from postproc import cli
-from postproc.circuit_options import beside, circuit_options, given_circuit, given_models
+from postproc.commands.circuit_options import beside, circuit_options, given_circuit, given_models
 from postproc.progress import doing
 from postproc.theory import tricritical
 from postproc.theory.circuit import PAPERS_AGE
@@ -37,7 +37,7 @@ def main(arguments: list[str] | None = None) -> int:
     for option, able in (("age", "aged"), ("tricritical", "mixed")):
         if getattr(given, option) and not any(getattr(one, able) for one in models):
             known = " or ".join(name for name, one in MODELS.items() if getattr(one, able))
-            raise cli.InputError(f"--{option} is of --model {known}")
+            raise cli.InputError(f"--{option} is of --theory {known}")
     answers = []
     for model in models:
         with doing(f"theory {model.name}"):
@@ -48,7 +48,3 @@ def main(arguments: list[str] | None = None) -> int:
             answers[-1]["tricritical"] = vars(there) if there else None
     print(json.dumps(beside(models, answers), indent=2))
     return 0
-
-
-if __name__ == "__main__":
-    raise SystemExit(cli.run(main))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from contextlib import suppress
 from dataclasses import dataclass
 from itertools import product
 from typing import TYPE_CHECKING
@@ -12,47 +13,24 @@ import f90nml
 import numpy as np
 
 from postproc.cli import InputError
-from postproc.figures.maps import edges
+from postproc.figures.maps import THRESHOLDS, WIDTH, axes_of, edges
 from postproc.progress import each
-from postproc.reading.points import gather
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from numpy.typing import NDArray
 
-    from postproc.reading.results import Results
-    from postproc.theory.circuit import Circuit
+    from postproc.reading.points import Points
     from postproc.theory.model import Model
 
     Floats = NDArray[np.float64]
     Columns = dict[str, NDArray[np.generic]]
 
-# The keys of points for a file without a grid.
-KEYS = (
-    "number", "threshold", "channel1_width", "channel1_length", "channel2_width", "channel2_length",
-)  # fmt: skip
 SYMBOLS = {"number": "N", "threshold": "T", "channel1_width": "w", "channel2_width": "w'"}
-THRESHOLDS = ("threshold", "threshold_fraction")
-WIDTH = "channel2_width"
-MEASURED = {"chi": "mass spread chi", "current": "net current"}
+MEASURED = {"chi": "mass spread chi", "current": "polarised current"}
 SAMPLES = (20, 300)  # least and most samples of a series on the page
 ROOM = 250_000  # samples of all series together
-
-
-def expected_state(model: Model, circuit: Circuit, chi: float) -> tuple[float, float]:
-    """Return chi and net current of a theory's stable state nearest to the measured chi.
-
-    NaN if it has none.
-    """
-    choices = [
-        (state.mass_spread, state.net_current)
-        for state in model.states(circuit)
-        if state.kind == "stable"
-    ]
-    if model.homogeneous_kind(circuit) != "unstable":
-        choices.append((0.0, 0.0))
-    return min(choices, key=lambda one: abs(one[0] - chi), default=(math.nan, math.nan))
 
 
 @dataclass(frozen=True)
@@ -85,19 +63,12 @@ class Scan:
                 yield dict(zip(others, chosen, strict=True)), np.flatnonzero(there)
 
 
-def scanned(results: Results) -> Scan:
+def scanned(points: Points) -> Scan:
     """Return the scan; T is the horizontal axis of maps and w' the vertical one, if scanned."""
-    axes = results.axes()
-    if axes is None:
-        keys = {name: results.value(name) for name in KEYS}
-    else:
-        mesh = np.meshgrid(*(values for values, _ in axes.values()), indexing="ij")
-        keys = {name: values.ravel() for name, values in zip(axes, mesh, strict=True)}
-    keys = {name: values for name, values in keys.items() if np.unique(values).size > 1}
-    names = sorted(keys, key=lambda name: (name not in THRESHOLDS, name == WIDTH))
-    across = names[0] if names else ""
-    up = WIDTH if WIDTH in names[1:] else "".join(names[1:2])
-    return Scan(keys, across, up)
+    across, up = axes_of(list(points.keys))
+    if not across and points.keys:  # starts alone
+        across = next(iter(points.keys))
+    return Scan(points.keys, across, up)
 
 
 def label(name: str) -> str:
@@ -105,21 +76,20 @@ def label(name: str) -> str:
     return f"{name} {SYMBOLS[name]}" if name in SYMBOLS else name
 
 
-def rounded(values: Floats) -> Floats:
-    """Return values rounded to five digits, which makes the page smaller."""
-    return np.array([float(f"{value:.5g}") for value in np.ravel(values)])
+def rounded(values: Floats, digits: int = 5) -> Floats:
+    """Return values rounded to some digits, which makes the page smaller."""
+    return np.array([float(f"{value:.{digits}g}") for value in np.ravel(values)])
 
 
-def points_of(results: Results, scan: Scan, models: dict[str, Model]) -> Columns:
+def points_of(points: Points, scan: Scan, models: dict[str, Model]) -> Columns:
     """Return the columns of the points: keys, measured values and errors, theory, their text."""
-    points = gather([results])
-    done, requested = results.done.sum(axis=1), results.asked.sum(axis=1)
+    done, requested = points.done.sum(axis=1), points.asked.sum(axis=1)
     columns = {name: values if values.dtype.kind == "i" else rounded(values)
                for name, values in scan.keys.items()}  # fmt: skip
-    columns |= {name: rounded(getattr(points, name))
+    columns |= {name: rounded(getattr(points, name), 2 if name.endswith("_error") else 5)
                 for name in ("start", "chi", "chi_error", "current", "current_error")}  # fmt: skip
     for name, model in models.items():
-        found = [_expected(results, model, at, points.chi[at])
+        found = [_expected(points, model, at)
                  for at in each(range(points.chi.size), f"{model.label}, point")]  # fmt: skip
         spread, current = np.array(found).T
         columns[f"{name}_chi"], columns[f"{name}_current"] = rounded(spread), rounded(current)
@@ -138,14 +108,16 @@ def points_of(results: Results, scan: Scan, models: dict[str, Model]) -> Columns
     return columns
 
 
-def _expected(results: Results, model: Model, point: int, chi: float) -> tuple[float, float]:
-    """Return chi and net current of the theory's stable state nearest to the measured chi."""
-    if results.beyond_theory(point):
+def _expected(points: Points, model: Model, point: int) -> tuple[float, float]:
+    """Return chi and current of the stable state that a theory reaches from the runs' start."""
+    if points.beyond_theory(point):
         return math.nan, math.nan
-    circuit = results.circuit(point)
-    if results.shape != "circuit":
+    circuit = points.circuit(point)
+    if points.shape != "circuit":
         return math.nan, float(model.urn_current(circuit))
-    return expected_state(model, circuit, chi) if math.isfinite(chi) else (math.nan, math.nan)
+    if model.refusal(circuit) or (state := model.reached(circuit, points.start2(point))) is None:
+        return math.nan, math.nan
+    return state.mass_spread, state.net_current
 
 
 def _summary(scan: Scan, columns: Columns, at: int) -> str:
@@ -163,19 +135,19 @@ def _summary(scan: Scan, columns: Columns, at: int) -> str:
     )
 
 
-def map_lines(results: Results, scan: Scan, models: dict[str, Model]) -> Columns:
+def map_lines(points: Points, scan: Scan, models: dict[str, Model]) -> Columns:
     """Return lines between a stable and an unstable homogeneous state, one row for each line.
 
     Over T and w' they are the theory's own lines; over other keys they lie between points of the
     scan.
     """
     rows: list[dict[str, object]] = []
-    drawn = results.shape == "circuit" and scan.up
-    drawn = drawn and not any(map(results.beyond_theory, range(results.points)))
+    drawn = points.shape == "circuit" and scan.up
+    drawn = drawn and not any(map(points.beyond_theory, range(len(points))))
     for chosen, there in scan.slices() if drawn else ():
         for model in models.values():
             find = _transition if _own_axes(scan) else _between
-            for across, up in find(results, scan, model, there):
+            for across, up in find(points, scan, model, there):
                 rows.append({"xs": across, "ys": up, "dash": dash(model), **chosen})
     names = ("xs", "ys", "dash", *scan.others)
     return {name: [row[name] for row in rows] for name in names}
@@ -191,9 +163,9 @@ def _own_axes(scan: Scan) -> bool:
 
 
 def _transition(
-    results: Results, scan: Scan, model: Model, there: NDArray[np.int_]
+    points: Points, scan: Scan, model: Model, there: NDArray[np.int_]
 ) -> list[tuple[Floats, Floats]]:
-    circuits = [results.circuit(int(at)) for at in there]
+    circuits = [points.circuit(int(at)) for at in there]
     last = max(int(one.threshold) for one in circuits) + 1
     thresholds, widths = model.transition_line(circuits[0], 1, last)
     if scan.across != "threshold":
@@ -203,7 +175,7 @@ def _transition(
 
 
 def _between(
-    results: Results, scan: Scan, model: Model, there: NDArray[np.int_]
+    points: Points, scan: Scan, model: Model, there: NDArray[np.int_]
 ) -> list[tuple[Floats, Floats]]:
     values, at = zip(
         *(np.unique(scan.keys[key][there], return_inverse=True) for key in (scan.across, scan.up)),
@@ -212,7 +184,7 @@ def _between(
     if min(one.size for one in values) < 2:
         return []
     unstable = np.full((values[1].size, values[0].size), math.nan)
-    kinds = [model.homogeneous_kind(results.circuit(int(point))) for point in there]
+    kinds = [model.homogeneous_kind(points.circuit(int(point))) for point in there]
     unstable[at[1], at[0]] = [kind == "unstable" for kind in kinds]
     made = contourpy.contour_generator(*values, np.ma.masked_invalid(unstable))
     return [(line[:, 0], line[:, 1]) for line in made.lines(0.5)]
@@ -231,22 +203,21 @@ def curves(columns: Columns, scan: Scan, models: dict[str, Model], name: str) ->
     ]
 
 
-def replicas_of(results: Results) -> Columns:
+def replicas_of(points: Points) -> Columns:
     """Return the columns of the tasks, replica by replica of each point, as texts.
 
     A value and its error are in one column, so that the table fits on a telephone.
     """
-    done = results.done.ravel()
-    current = "polarised_current" if results.has("polarised_current") else "current1"
-    columns: Columns = {"replica": np.tile(np.arange(1, results.replicas + 1), results.points)}
-    for name, source in {"chi": "chi", "current": current}.items():
-        if results.has(source):
-            values = zip(results.value(source).ravel(), results.value(f"{source}_error").ravel(),
+    done = points.done.ravel()
+    columns: Columns = {"replica": np.tile(np.arange(points.replicas), len(points))}
+    for name, source in {"chi": "chi", "current": points.current_name}.items():
+        if points.has(source):
+            values = zip(points.value(source).ravel(), points.value(f"{source}_error").ravel(),
                          strict=True)  # fmt: skip
             columns[name] = np.array([_with_error(*one) for one in values])
     columns["collisions"] = np.array([f"{one:.2e}".replace("e+0", "e").replace("e+", "e")
-                                      for one in results.value("collisions").ravel()])  # fmt: skip
-    columns["seconds"] = np.array([f"{one:.2g}" for one in results.value("cpu_seconds").ravel()])
+                                      for one in points.value("collisions").ravel()])  # fmt: skip
+    columns["seconds"] = np.array([f"{one:.2g}" for one in points.value("cpu_seconds").ravel()])
     for name in list(columns)[1:]:
         columns[name] = np.where(done, columns[name], "-")
     return columns
@@ -258,37 +229,33 @@ def _with_error(value: float, error: float) -> str:
     return f"{value:.4g} ± {error:.1g}" if math.isfinite(error) else f"{value:.4g}"
 
 
-def series_of(results: Results) -> tuple[Floats, Columns]:
+def series_of(points: Points) -> tuple[Floats, Columns]:
     """Return times, and (N1 - N2)/N and net current of all tasks one after the other, thinned.
 
     Nothing if the run has no series, or is shorter than their interval. If there are too many, only
     those of the first replicas.
     """
-    if not results.has("series/time"):
+    tasks = np.argwhere(points.done)
+    found = {}
+    samples = int(np.clip(ROOM // max(points.done.size, 1), *SAMPLES))
+    with points.held():
+        for point, replica in tasks[: ROOM // samples].tolist():
+            with suppress(InputError):  # none, or shorter than the interval
+                found[point, replica] = points.series(point, replica)
+    if not found:
         return np.empty(0), {}
-    time = results.value("series/time")
-    tasks = results.points * results.replicas
-    samples = min(int(np.clip(ROOM // tasks, *SAMPLES)), time.size)
+    time = max((one.time for one in found.values()), key=len)
     chosen = np.unique(np.linspace(0, time.size - 1, samples).round().astype(int))
-    spread = np.full((results.points, results.replicas, chosen.size), np.nan, np.float32)
+    spread = np.full((*points.done.shape, chosen.size), np.nan, np.float32)
     current = spread.copy()
-    for point, replica in np.argwhere(results.done)[: ROOM // samples]:
-        try:
-            one = results.series(int(point), int(replica))
-        except InputError:  # shorter than the interval
-            continue
-        number = results.value("number")[point]
+    for (point, replica), one in found.items():
         flows = one.flows["flow1_12"] - one.flows["flow1_21"]
         past = np.searchsorted(one.time, time[chosen], side="left")
         past = np.minimum(past, one.time.size - 1)
         reached = time[chosen] <= one.time[-1]
-        spread[point, replica] = np.where(
-            reached, 2.0 * one.urn1_number[past] / number - 1.0, np.nan
-        )
-        means = _block_means(flows, past)
-        current[point, replica] = np.where(reached, means, np.nan)
-    if not np.isfinite(spread).any():
-        return np.empty(0), {}
+        chi = 2.0 * one.urn1_number[past] / points.number[point] - 1.0
+        spread[point, replica] = np.where(reached, chi, np.nan)
+        current[point, replica] = np.where(reached, _block_means(flows, past), np.nan)
     return rounded(time[chosen]), {"spread": spread.ravel(), "current": current.ravel()}
 
 
@@ -300,9 +267,9 @@ def _block_means(values: Floats, ends: Sequence[int]) -> Floats:
     return (sums[last] - sums[first]) / (last - first)
 
 
-def namelist_of_point(results: Results, scan: Scan) -> str:
+def namelist_of_point(points: Points, scan: Scan) -> str:
     """Return the run's namelist with one value for each key scanned, `@KEY@` in its place."""
-    text = results.attributes["namelist"]
+    text = str(points.attrs.get("namelist", ""))
     try:
         groups = f90nml.reads(text)
     except Exception:  # of any class, where the program accepts more than this reader

@@ -1,4 +1,4 @@
-"""Warnings about a run, and explanations of surprising results.
+"""Warnings about a run, and explanations of surprising points.
 
 Warnings are about errors: tasks without results, transients that are too short, replicas that
 disagree, currents that neither memory of the urns nor chance explains. Explanations are about
@@ -19,7 +19,7 @@ from postproc.theory.circuit import flow2
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from postproc.reading.results import Results, Snapshot
+    from postproc.reading.points import Points, Snapshot
     from postproc.theory.circuit import Circuit
 
     Floats = NDArray[np.float64]
@@ -84,45 +84,45 @@ def memory_factor(circuit: Circuit) -> float:
     return max(two_port.conductance(circuit) / mixed, 1.0) + CIRCULATION
 
 
-def warnings(results: Results) -> list[str]:
+def warnings(points: Points) -> list[str]:
     """Return the warnings of a run, one sentence each, as plain text."""
-    found = _unfinished(results)
-    for point in range(results.points):
-        if not results.done[point].any():
+    found = _unfinished(points)
+    for point in range(len(points)):
+        if not points.done[point].any():
             continue
-        name = _name(results, point)
-        found += [f"{name}: {text}" for text in _of_replicas(results, point)]
-        found += [f"{name}: {text}" for text in _of_current(results, point)]
-        found += [f"{name}: {text}" for text in _of_series(results, point)]
+        name = _name(points, point)
+        found += [f"{name}: {text}" for text in _of_replicas(points, point)]
+        found += [f"{name}: {text}" for text in _of_current(points, point)]
+        found += [f"{name}: {text}" for text in _of_series(points, point)]
     return found
 
 
-def explanations(results: Results) -> list[str]:
+def explanations(points: Points) -> list[str]:
     """Return explanations of right but surprising results, one sentence each."""
     found = []
-    if results.two_states.any():
+    if points.two_states.any():
         found.append(
-            f"At {results.two_states.sum()} of {results.points} points the replicas fall into two "
+            f"At {points.two_states.sum()} of {len(points)} points the replicas fall into two "
             "states. A mean of both would be a third, so none is shown."
         )
     excess = np.array(
-        [_excess(results, point)[0] for point in np.flatnonzero(results.done.any(axis=1))]
+        [_excess(points, point)[0] for point in np.flatnonzero(points.done.any(axis=1))]
     )
     above = excess[excess > EXCESS]
     if above.size:
         found.append(
-            f"At {above.size} of {results.points} points the net current is more than chi accounts "
+            f"At {above.size} of {len(points)} points the net current is more than chi accounts "
             f"for in well mixed urns, by up to {100.0 * above.max():.0f} %. That is no error: an "
             "urn remembers by which opening a particle came, so fewer go back by channel 2 than "
             "chance has it, and some circulate along the axis."
         )
-    without_error = _points_without_error(results)
+    without_error = _points_without_error(points)
     if without_error:
         found.append(
-            f"At {without_error} of {results.points} points an error is not known: one run is "
+            f"At {without_error} of {len(points)} points an error is not known: one run is "
             "too short to tell its own there. Replicas tell."
         )
-    counts = [_axial_of(results, point) for point in range(results.points)]
+    counts = [_axial_of(points, point) for point in range(len(points))]
     if any(counts):
         found.append(
             f"{max(counts)} particles of a last snapshot run along the axis. They go round the "
@@ -131,61 +131,61 @@ def explanations(results: Results) -> list[str]:
     return found
 
 
-def _points_without_error(results: Results) -> int:
+def _points_without_error(points: Points) -> int:
     """Return the number of points at which chi or the current has a mean and no error."""
-    pairs = [results.net_current()]
-    if results.shape == "circuit":
-        pairs.append(results.replica_mean("chi"))
+    pairs = [(points.current, points.current_error)]
+    if points.shape == "circuit":
+        pairs.append((points.chi, points.chi_error))
     without_error = [np.isfinite(mean) & np.isnan(error) for mean, error in pairs]
     return int(np.count_nonzero(np.any(without_error, axis=0)))
 
 
-def _name(results: Results, point: int) -> str:
-    circuit = results.any_circuit(point)
+def _name(points: Points, point: int) -> str:
+    circuit = points.any_circuit(point)
     return f"T = {circuit.thresholds}, w' = {circuit.channel2_width:.4g}, N = {circuit.number}"
 
 
-def _unfinished(results: Results) -> list[str]:
-    missing = int(np.count_nonzero(results.asked & ~results.done))
-    return [f"{missing} of {results.asked.sum()} tasks have no results."] if missing else []
+def _unfinished(points: Points) -> list[str]:
+    missing = int(np.count_nonzero(points.asked & ~points.done))
+    return [f"{missing} of {points.asked.sum()} tasks have no results."] if missing else []
 
 
-def _of_replicas(results: Results, point: int) -> list[str]:
-    if results.two_states[point]:
+def _of_replicas(points: Points, point: int) -> list[str]:
+    if points.two_states[point]:
         return []
     found = []
-    for name, text in (("chi", "mass spreads"), ("current1", "net currents")):
-        if not results.has(f"{name}_error"):
+    for name, text in (("chi", "mass spreads"), (points.current_name, "currents")):
+        if not points.has(f"{name}_error"):
             continue
-        values, errors = results.value(name)[point], results.value(f"{name}_error")[point]
+        values, errors = points.value(name)[point], points.value(f"{name}_error")[point]
         if disagreement(np.abs(values), errors) < UNLIKELY:
             listed = ", ".join(f"{abs(value):.4g}" for value in values if np.isfinite(value))
             found.append(f"the {text} of the replicas ({listed}) disagree beyond their own errors.")
     return found
 
 
-def _excess(results: Results, point: int) -> tuple[float, float]:
+def _excess(points: Points, point: int) -> tuple[float, float]:
     """Return the relative excess of the net current over the one that chi explains, and its error.
 
     The latter is from the conductance of well mixed urns; -1 if it is not known.
     """
-    if results.shape != "circuit" or results.beyond_theory(point):
+    if points.shape != "circuit" or points.beyond_theory(point):
         return -1.0, 0.0
-    circuit = results.circuit(point)
-    chi = results.replica_mean("chi")[0][point]
-    mean, error = (part[point] for part in results.net_current())
+    circuit = points.circuit(point)
+    chi = points.chi[point]
+    mean, error = points.current[point], points.current_error[point]
     expected = float(flow2(circuit, chi * float(circuit.number)))
     if not (expected > 0.0 and chi > SPREAD):
         return -1.0, 0.0
     return float(mean / expected - 1.0), float(error / expected)
 
 
-def _of_current(results: Results, point: int) -> list[str]:
+def _of_current(points: Points, point: int) -> list[str]:
     """Compare the net current with the one that chi and memory of the urns explain."""
-    excess, error = _excess(results, point)
+    excess, error = _excess(points, point)
     if excess <= 0.0:
         return []
-    most = memory_factor(results.circuit(point)) - 1.0
+    most = memory_factor(points.circuit(point)) - 1.0
     if excess - most <= max(EXCESS, DRIFT * error):
         return []
     return [
@@ -195,26 +195,26 @@ def _of_current(results: Results, point: int) -> list[str]:
     ]
 
 
-def _of_series(results: Results, point: int) -> list[str]:
-    number = float(results.value("number")[point])
+def _of_series(points: Points, point: int) -> list[str]:
+    number = float(points.value("number")[point])
     moving = []
-    for replica in np.flatnonzero(results.done[point]):
+    for replica in np.flatnonzero(points.done[point]):
         try:
-            series = results.series(point, int(replica))
+            series = points.series(point, int(replica))
         except InputError:  # none, or shorter than the interval
             continue
-        if results.shape == "circuit" and drifts(np.abs(number - 2 * series.urn1_number) / number):
-            moving.append(str(replica + 1))
+        if points.shape == "circuit" and drifts(np.abs(number - 2 * series.urn1_number) / number):
+            moving.append(str(replica))
     if not moving:
         return []
     return [f"chi still moves in the second half of replica {', '.join(moving)}: short transient."]
 
 
-def _axial_of(results: Results, point: int) -> int:
+def _axial_of(points: Points, point: int) -> int:
     """Return how many particles of the last snapshot move along the axis, 0 without snapshots."""
-    if not results.done[point].any() or results.shape != "circuit" or results.scatterers:
+    if not points.done[point].any() or points.shape != "circuit" or points.scatterers:
         return 0
     try:
-        return axial(results.any_circuit(point), results.snapshot(point, 0, -1))
+        return axial(points.any_circuit(point), points.snapshot(point, 0, -1))
     except InputError:
         return 0

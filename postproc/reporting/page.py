@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+import pandas as pd
 from bokeh.document import Document
 from bokeh.embed import file_html
 from bokeh.models import (
@@ -39,15 +40,15 @@ from bokeh.resources import Resources
 from postproc.figures import style
 from postproc.figures.scene import draw_table
 from postproc.figures.style import CYCLE
-from postproc.report import data
-from postproc.report.warn import explanations, warnings
+from postproc.reporting import data
+from postproc.reporting.warn import explanations, warnings
 
 if TYPE_CHECKING:
     from bokeh.model import Model as BokehModel
     from numpy.typing import NDArray
 
-    from postproc.reading.results import Results
-    from postproc.report.data import Columns, Scan
+    from postproc.reading.points import Points
+    from postproc.reporting.data import Columns, Scan
     from postproc.theory.circuit import Circuit
     from postproc.theory.model import Model
 
@@ -61,8 +62,21 @@ IDLE = "Put the mouse on a point; click one to see its replicas."
 PALETTES = {"chi": "Viridis256", "current": "Inferno256"}
 ERRORS = "Cividis256"
 KEPT = ("version", "git_commit", "created", "status", "mpi_ranks", "mpi_library", "compiler")
-KNOWN = "Theory: the stable state nearest to what was measured."
+KNOWN = "Theory: the stable state that its drift reaches from the start of the runs."
 UNKNOWN = "Theories beside it would be of equal urns and gates, without scatterers: none is shown."
+SHOWN = ("number", "threshold", "channel1_width", "channel1_length", "channel2_width")
+LEFT_OUT = (
+    "told",
+    "left",
+    "right",
+    "bottom",
+    "top",
+    "chi_low",
+    "chi_high",
+    "current_low",
+    "current_high",
+)  # columns of the points that are for the pictures alone
+MOST = 6  # replicas that have a colour and a name each; of more the mean is drawn before them
 DOTS = 110  # per inch, in the picture of the table
 HOVERED = """
 const [at] = cb_data.index.indices
@@ -78,7 +92,7 @@ for (const [source, shown] of [[points, cells], [lines, drawn]]) {
 CLICKED = """
 const [at] = points.selected.indices
 if (at === undefined) return
-name.text = `Point ${at + 1}. ${points.data.told[at]}`
+name.text = `Point ${at}. ${points.data.told[at]}`
 const tasks = Array.from({length: count}, (_, replica) => at * count + replica)
 rows.indices = tasks
 namelist.text = text.replace(/'@(\\w+)@'/g, (_, key) => String(points.data[key][at]))
@@ -86,12 +100,21 @@ if (time.length === 0) return
 const kept = tasks.filter((task) => tasks_with_series[task])
 const cut = (values) => kept.map(
   (task) => Array.from(values.slice(task * time.length, (task + 1) * time.length)))
+const mean = (all) => time.map((_, k) => {
+  const known = all.map((one) => one[k]).filter((one) => !Number.isNaN(one))
+  return known.reduce((sum, one) => sum + one, 0) / known.length
+})
+const many = kept.length > most
+const with_mean = (all) => many ? [...all, mean(all)] : all
+const named = kept.map((task) => `replica ${task % count}`)
 shown.data = {
-  time: kept.map(() => time),
-  spread: cut(series.data.spread),
-  current: cut(series.data.current),
-  colour: kept.map((task) => colours[(task % count) % colours.length]),
-  replica: kept.map((task) => `replica ${task % count + 1}`),
+  time: with_mean(cut(series.data.spread)).map(() => time),
+  spread: with_mean(cut(series.data.spread)),
+  current: with_mean(cut(series.data.current)),
+  colour: [...kept.map((task) => many ? '#9ab' : colours[(task % count) % colours.length]),
+    ...(many ? ['#d55e00'] : [])],
+  width: [...kept.map(() => many ? 0.5 : 1.2), ...(many ? [2.5] : [])],
+  replica: [...named, ...(many ? ['mean'] : [])],
 }
 """
 THEMED = """
@@ -120,7 +143,7 @@ CHOICES = """
 class Page:
     """The parts of a page, which share their points."""
 
-    results: Results
+    given: Points
     scan: Scan
     models: dict[str, Model]
     columns: Columns
@@ -128,10 +151,10 @@ class Page:
     def __post_init__(self) -> None:
         """Put the columns into sources of the library."""
         self.points = ColumnDataSource(self.columns)
-        done = np.flatnonzero(self.results.done.any(axis=1))
+        done = np.flatnonzero(self.given.done.any(axis=1))
         self.points.selected.indices = [int(done[0])]
-        self.cells = IndexFilter(list(range(self.results.points)))
-        self.lines = ColumnDataSource(data.map_lines(self.results, self.scan, self.models))
+        self.cells = IndexFilter(list(range(len(self.given))))
+        self.lines = ColumnDataSource(data.map_lines(self.given, self.scan, self.models))
         self.drawn = IndexFilter(list(range(len(self.lines.data["xs"]))))
         self.reading = Div(text=IDLE, name="reading", render_as_text=True)
         self.measured = [name for name in data.MEASURED if np.isfinite(self.columns[name]).any()]
@@ -245,24 +268,27 @@ class Page:
             heads |= {name: name, f"{name}_error": f"{name} error"}
             heads |= {f"{key}_{name}": f"{name}, {one.label}" for key, one in self.models.items()}
         heads["tasks"] = "tasks"
-        return _table("points", self.points, heads, rows=min(self.results.points, 16))
+        return _table("points", self.points, heads, rows=min(len(self.given), 16))
 
     def detail(self) -> list[BokehModel]:
         """Return the parts that a click fills: a line, the replicas, their series, a namelist."""
-        replicas = data.replicas_of(self.results)
+        replicas = data.replicas_of(self.given)
         tasks = ColumnDataSource(replicas)
-        time, columns = data.series_of(self.results)
-        rows, count = IndexFilter([]), self.results.replicas
+        time, columns = data.series_of(self.given)
+        rows, count = IndexFilter([]), self.given.replicas
         table = _table("replicas", tasks, {name: name for name in replicas}, rows=min(count, 8),
                        widths=WIDTHS, view=CDSView(filter=rows))  # fmt: skip
-        shown = ColumnDataSource({key: [] for key in (*SERIES, "time", "colour", "replica")})
+        shown = ColumnDataSource(
+            {key: [] for key in (*SERIES, "time", "colour", "replica", "width")}
+        )
         name, namelist = Div(name="name", render_as_text=True), PreText(name="namelist")
         there = np.isfinite(columns.get("spread", np.empty(0)).reshape(-1, max(time.size, 1)))
         self.click = CustomJS(
             args={"points": self.points, "name": name, "rows": rows, "count": count,
-                  "namelist": namelist, "text": data.namelist_of_point(self.results, self.scan),
+                  "namelist": namelist, "text": data.namelist_of_point(self.given, self.scan),
                   "time": time.tolist(), "series": ColumnDataSource(columns), "shown": shown,
-                  "tasks_with_series": there.any(axis=1).tolist(), "colours": list(CYCLE)},
+                  "tasks_with_series": there.any(axis=1).tolist(), "colours": list(CYCLE),
+                  "most": MOST},
             code=CLICKED,
         )  # fmt: skip
         self.points.selected.js_on_change("indices", self.click)
@@ -278,8 +304,9 @@ class Page:
             y_range=(known.min(initial=-1.0), known.max(initial=1.0)),
         )
         made.height, made.xaxis.axis_label = 240, "time"
-        made.multi_line("time", name, source=shown, line_color="colour", legend_field="replica")
-        made.legend.visible = self.results.replicas > 1
+        made.multi_line("time", name, source=shown, line_color="colour", line_width="width",
+                        legend_field="replica")  # fmt: skip
+        made.legend.visible = 1 < self.given.replicas <= MOST
         made.legend.label_text_font_size = "8pt"
         made.legend.background_fill_alpha = 0.6
         return made
@@ -341,12 +368,12 @@ def themed(figures: list[figure]) -> CustomJS:
     return CustomJS(args={"inks": inks, "papers": papers}, code=THEMED)
 
 
-def _run(results: Results) -> dict[str, str]:
-    known, done = results.attributes, results.done
-    collisions = np.nansum(np.where(done, results.value("collisions"), 0.0))
-    seconds = np.nansum(np.where(done, results.value("cpu_seconds"), 0.0))
+def _run(points: Points) -> dict[str, str]:
+    known, done = points.attrs, points.done
+    collisions = np.nansum(np.where(done, points.value("collisions"), 0.0))
+    seconds = np.nansum(np.where(done, points.value("cpu_seconds"), 0.0))
     rows = {name.replace("_", " "): known[name] for name in KEPT if name in known}
-    rows["tasks"] = f"{np.count_nonzero(done)} of {results.asked.sum()} complete"
+    rows["tasks"] = f"{np.count_nonzero(done)} of {points.asked.sum()} complete"
     rows["wall collisions"] = f"{collisions:.4g}"
     rows["processor time"] = f"{seconds:.4g} s"
     if seconds > 0.0:
@@ -372,40 +399,55 @@ def _picture(circuit: Circuit) -> str:
         return base64.b64encode(file.getvalue()).decode("ascii")
 
 
-def page(results: Results, models: dict[str, Model]) -> str:
+def _about(points: Points) -> str:
+    """Return what all points have in common: parameters, replicas, the length of runs."""
+    columns = {name: points.value(name) for name in SHOWN} | {"chi at the start": points.start}
+    told = [f"{data.SYMBOLS.get(name, name)} = {values[0]:.5g}"
+            for name, values in columns.items() if np.unique(values).size == 1]  # fmt: skip
+    told.append(f"{points.replicas} replicas")
+    if points.has("time"):
+        time = points.value("time")[points.done]
+        told.append(f"runs of {time.min():.3g}" + (f" to {time.max():.3g}" if np.ptp(time) else "")
+                    + " time units")  # fmt: skip
+    return ", ".join(told)
+
+
+def page(points: Points, models: dict[str, Model]) -> str:
     """Return the whole page, with theories by name; without them if none applies to the table."""
-    results.need_tasks()
-    if all(map(results.beyond_theory, range(results.points))):
+    points.need_tasks()
+    if all(map(points.beyond_theory, range(len(points)))):
         models = {}
-    scan = data.scanned(results)
-    parts = Page(results, scan, models, data.points_of(results, scan, models))
+    scan = data.scanned(points)
+    parts = Page(points, scan, models, data.points_of(points, scan, models))
     panels, choices, detail = parts.panels(), parts.choices(), parts.detail()
-    document = Document(title=results.path.name)
+    title = ", ".join(file.rpartition("/")[2] for file in points.attrs["files"])
+    document = Document(title=title)
     roots = [parts.reading] if panels else []
     with document.models.freeze():  # or the models of all roots are gathered anew with each root
         for one in (*roots, *choices, *panels, *detail, parts.table()):
             document.add_root(one)
     paint = themed([*panels, *parts.series])
     document.js_on_event("document_ready", paint, parts.choose, parts.click)
-    remarks = {
-        "Warnings": warnings(results),
-        "What looks strange, and is not": explanations(results),
-    }
+    csv = pd.DataFrame({name: values for name, values in parts.columns.items()
+                        if name not in LEFT_OUT}).to_csv(index=False)  # fmt: skip
     made = file_html(
         document,
         Resources(mode="inline", log_level="warn"),
-        results.path.name,
+        title,
         template=(HERE / "page.html").read_text(encoding="utf-8"),
         template_variables={
-            "remarks": {heading: items for heading, items in remarks.items() if items},
+            "about": _about(points),
+            "warnings": warnings(points),
+            "explanations": explanations(points),
             "lines": _lines(scan, models),
             "theory": KNOWN if models else UNKNOWN,
-            "picture": _picture(results.any_circuit(0)),
+            "picture": _picture(points.any_circuit(0)),
             "panels": [one.name for one in panels],
             "choices": [one.name for one in choices],
             "series": [one.name for one in parts.series],
-            "run": _run(results),
-            "namelist": results.attributes["namelist"],
+            "csv": base64.b64encode(csv.encode()).decode("ascii"),
+            "run": _run(points),
+            "namelist": str(points.attrs.get("namelist", "")),
         },
     )
     return _guarded(made.replace(*SILENT))

@@ -48,7 +48,7 @@ def circuit_options(name: str, description: str | None) -> argparse.ArgumentPars
         help="corners x1 y1 x2 y2 ... of both urns, x to channel 1",
     )  # fmt: skip
     options.add_argument(
-        "--model", choices=tuple(MODELS),
+        "--theory", "--model", choices=tuple(MODELS),
         help=f"{meanings} (default: window, and beside it direction, or renewal for polygons)",
     )  # fmt: skip
     return options
@@ -56,7 +56,7 @@ def circuit_options(name: str, description: str | None) -> argparse.ArgumentPars
 
 def given_models(given: argparse.Namespace, circuit: Circuit) -> tuple[Model, ...]:
     """Return the theory that is named, or the default ones for a circuit."""
-    return (MODELS[given.model],) if given.model else defaults([circuit])
+    return (MODELS[given.theory],) if given.theory else defaults([circuit])
 
 
 def given_circuit(given: argparse.Namespace) -> Circuit:

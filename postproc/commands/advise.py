@@ -19,23 +19,15 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import f90nml
-
 from postproc import cli
-from postproc.advice.advice import QUANTITIES, advise, table_of
-from postproc.circuit_options import circuit_options, given_circuit
-from postproc.theory.circuit import Circuit
+from postproc.advice.advice import QUANTITIES, table_of
+from postproc.advice.question import advice_on, circuit_of
+from postproc.commands.circuit_options import circuit_options, given_circuit
 
 if TYPE_CHECKING:
     import argparse
 
-    from postproc.advice.advice import Advice, Groups
-
-KNOWN = {
-    "table": ("urn_radius", "channel1_width", "channel1_length", "channel2_width",
-              "channel2_length"),
-    "gate": ("threshold", "threshold_fraction"),
-}  # fmt: skip
+    from postproc.advice.advice import Advice
 
 
 def _add(options: argparse.ArgumentParser) -> None:
@@ -50,47 +42,6 @@ def _add(options: argparse.ArgumentParser) -> None:
     )  # fmt: skip
 
 
-def circuit_of(path: Path) -> tuple[Groups, Circuit]:
-    """Return the groups table, particles and gate of a namelist of one circuit, and the circuit."""
-    try:
-        groups = f90nml.read(cli.existing_file(path)).todict()
-    except (ValueError, StopIteration, AssertionError, UnicodeDecodeError) as problem:
-        raise cli.InputError(f"{path}: is no namelist: {problem}") from problem
-    for name, keys in KNOWN.items():
-        strange = sorted(set(groups.get(name, {})) - set(keys))
-        if strange == ["shape"] and groups[name]["shape"] == "circuit":
-            groups[name].pop("shape")
-        elif strange:
-            raise cli.InputError(f"{path}: there is no advice on &{name} {strange[0]}")
-    scanned = {key: value for key, value in groups.get("scan", {}).items() if key != "replicas"}
-    for key, value in scanned.items():
-        group = next((name for name, keys in KNOWN.items() if key in keys), "particles")
-        if isinstance(value, list) or key.endswith("_range"):
-            raise cli.InputError(f"{path}: &scan {key}: there is advice on one point only")
-        groups.setdefault(group, {})[key] = value
-    particles, gate = groups.get("particles", {}), dict(groups.get("gate", {}))
-    number = particles.get("number")
-    if not isinstance(number, int) or number < 1:
-        raise cli.InputError(f"{path}: &particles number is wanted, a whole number")
-    fraction = gate.pop("threshold_fraction", None)
-    threshold = gate.get("threshold", None if fraction is None else round(fraction * number))
-    if threshold is None:
-        raise cli.InputError(f"{path}: &gate threshold is wanted")
-    table = dict(groups.get("table", {}))
-    (one, *other), (first, *second) = (
-        value if isinstance(value, list) else [value]
-        for value in (table.pop("urn_radius", 1.0), threshold)
-    )
-    circuit = Circuit(
-        number, first, urn_radius=one, **table,
-        urn2_radius=other[0] if other else None, gate2_threshold=second[0] if second else None,
-    )  # fmt: skip
-    own = table_of(circuit)
-    if "urn1_number" in particles:
-        own["particles"]["urn1_number"] = particles["urn1_number"]
-    return own, circuit
-
-
 def sentence(given: Advice, quantity: str, tolerance: float) -> str:
     """Return the advice as a sentence."""
     if given.rung == "none":
@@ -98,7 +49,7 @@ def sentence(given: Advice, quantity: str, tolerance: float) -> str:
     chance = min(99.0, 100.0 * given.confidence)
     sure = f"{quantity} within {100.0 * tolerance:g} %, {chance:.0f} % sure"
     if given.replicas == 0:
-        return f"For {sure}, ask postproc.theory --model {given.rung}. {given.reason}"
+        return f"For {sure}, ask battery-postproc theory --theory {given.rung}. {given.reason}"
     if given.cpu_seconds == 0.0:
         return f"The pilot is enough: {given.expected:.6g} is {sure}. {given.reason}"
     return (
@@ -123,13 +74,7 @@ def main(arguments: list[str] | None = None) -> int:
         _add(options)
         given = options.parse_args(words)
         groups, circuit = circuit_of(given.file)
-    if given.quantity != "chi" and float(circuit.channel2_width) == 0.0:
-        raise cli.InputError(f"without channel 2 there is no {given.quantity}")
-    found = advise(groups, circuit, given.quantity, given.tolerance, longest=given.pilot_seconds)
+    found = advice_on(groups, circuit, given.quantity, given.tolerance, given.pilot_seconds)
     print(json.dumps(cli.finite(vars(found)), indent=2))
     print(sentence(found, given.quantity, given.tolerance), file=sys.stderr)
     return 0
-
-
-if __name__ == "__main__":
-    raise SystemExit(cli.run(main))

@@ -1,0 +1,114 @@
+"""A question for advice: which theory or run is accurate enough for a quantity of one circuit."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+import f90nml
+import numpy as np
+
+from postproc import cli
+from postproc.advice import advice
+from postproc.advice.advice import table_of
+from postproc.running import write_namelist
+from postproc.theory.circuit import Circuit
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from postproc.advice.advice import Advice, Groups
+
+KNOWN = {
+    "table": ("urn_radius", "channel1_width", "channel1_length", "channel2_width",
+              "channel2_length"),
+    "gate": ("threshold", "threshold_fraction"),
+}  # fmt: skip
+
+
+def advise(
+    namelist: str | Path | Groups,
+    quantity: str = "chi",
+    tolerance: float = 0.02,
+    *,
+    pilot_seconds: float = 60.0,
+) -> Advice:
+    """Return a theory or run that is accurate enough for a quantity of one circuit.
+
+    A pilot of the program, about a second at N = 1000, shows the scatter of replicas and the errors
+    of theories.
+
+    Parameters
+    ----------
+    namelist : a file, or values by group and key, of one point.
+    quantity : "chi", "polarised_current" or "transition".
+    tolerance : relative.
+    pilot_seconds : processor time that the pilot may take.
+
+    Raises
+    ------
+    InputError
+        There is no such quantity, or no advice on such a table: polygons, discs, several points.
+    """
+    if quantity not in advice.QUANTITIES:
+        known = ", ".join(advice.QUANTITIES)
+        raise cli.InputError(f"there is no quantity {quantity!r}; there are {known}")
+    return advice_on(*circuit_of(namelist), quantity, tolerance, pilot_seconds)
+
+
+def advice_on(
+    groups: Groups, circuit: Circuit, quantity: str, tolerance: float, pilot_seconds: float
+) -> Advice:
+    """Return advice on a circuit, of which `groups` are what a namelist says."""
+    if quantity != "chi" and np.all(np.equal(circuit.channel2_width, 0.0)):
+        raise cli.InputError(f"without channel 2 there is no {quantity}")
+    return advice.advise(groups, circuit, quantity, tolerance, longest=pilot_seconds)
+
+
+def circuit_of(namelist: str | Path | Groups) -> tuple[Groups, Circuit]:
+    """Return the groups table, particles and gate of a namelist of one circuit, and the circuit."""
+    path, groups = _groups_of(namelist)
+    for name, keys in KNOWN.items():
+        strange = sorted(set(groups.get(name, {})) - set(keys))
+        if strange == ["shape"] and groups[name]["shape"] == "circuit":
+            groups[name].pop("shape")
+        elif strange:
+            raise cli.InputError(f"{path}: there is no advice on &{name} {strange[0]}")
+    scanned = {key: value for key, value in groups.get("scan", {}).items() if key != "replicas"}
+    for key, value in scanned.items():
+        group = next((name for name, keys in KNOWN.items() if key in keys), "particles")
+        if isinstance(value, list) or key.endswith("_range"):
+            raise cli.InputError(f"{path}: &scan {key}: there is advice on one point only")
+        groups.setdefault(group, {})[key] = value
+    particles, gate = groups.get("particles", {}), dict(groups.get("gate", {}))
+    number = particles.get("number")
+    if not isinstance(number, int) or number < 1:
+        raise cli.InputError(f"{path}: &particles number is wanted, a whole number")
+    fraction = gate.pop("threshold_fraction", None)
+    threshold = gate.get("threshold", None if fraction is None else round(fraction * number))
+    if threshold is None:
+        raise cli.InputError(f"{path}: &gate threshold is wanted")
+    table = dict(groups.get("table", {}))
+    (one, *other), (first, *second) = (
+        value if isinstance(value, list) else [value]
+        for value in (table.pop("urn_radius", 1.0), threshold)
+    )
+    circuit = Circuit(
+        number, first, urn_radius=one, **table,
+        urn2_radius=other[0] if other else None, gate2_threshold=second[0] if second else None,
+    )  # fmt: skip
+    own = table_of(circuit)
+    if "urn1_number" in particles:
+        own["particles"]["urn1_number"] = particles["urn1_number"]
+    return own, circuit
+
+
+def _groups_of(namelist: str | Path | Groups) -> tuple[str, dict[str, Any]]:
+    """Return the name of a namelist for messages, and its values by group and key."""
+    if isinstance(namelist, Mapping):
+        return "the namelist", f90nml.reads(write_namelist(None, namelist)).todict()
+    path = cli.existing_file(cli.path_of(namelist, "namelist"))
+    try:
+        return str(path), f90nml.read(path).todict()
+    except (ValueError, StopIteration, AssertionError, UnicodeDecodeError) as problem:
+        raise cli.InputError(f"{path}: is no namelist: {problem}") from problem

@@ -1,0 +1,1 @@
+"""What `battery-postproc NAME` runs."""

@@ -1,0 +1,135 @@
+"""Draws results by name, from one results file or several: NAME.png and NAME.pdf.
+
+The names of files begin with that of the (first) results file. Names are what is drawn, or the
+labels of the paper's figures:
+
+phase_diagram   maps of chi and polarised current over T and w', a row for each start (numris)
+flows           flows and net currents against time, a panel a point, eta below (comp05)
+relaxation      chi and net current against time, mean and band over replicas (comp06)
+curves          polarised current against T/N, or another key, and against chi (comp01)
+characteristic  voltage ln(n2/n1) and power against the net current over a scan, as of w'
+lifetimes       lifetimes of both states against N, from series that begin in them
+one_channel     maps of chi over l, w, r and T without channel 2 (a scan over two of them each)
+scene           the table to scale with the particles of a snapshot
+circuit, urn    the table with its lengths named, no file or one with a snapshot (model, app1)
+urn_current, urn_difference, urn_scaled
+                current of the single urn against T/N, its relative difference from theory, both
+                divided by N (app2, app3, app4)
+
+A figure shows each point that it is given, or refuses; --select KEY=VALUE chooses. Theories are
+drawn by name (--theory NAME ...): those of `theory --theory`.
+"""
+
+from __future__ import annotations
+
+import argparse
+from inspect import signature
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from postproc import cli
+from postproc.figures import appendix, maps, style
+from postproc.figures.circuits import (
+    figure_characteristic,
+    figure_comp01,
+    figure_comp05,
+    figure_comp06,
+)
+from postproc.figures.model import figure_app1, figure_model
+from postproc.figures.models import add_models, asked
+from postproc.figures.one_channel import figure_one_channel
+from postproc.figures.passages import figure_lifetimes
+from postproc.figures.scene import figure_scene
+from postproc.reading.grid import dataset_of, selected
+from postproc.reading.points import Points
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from matplotlib.figure import Figure
+
+FIGURES: dict[str, Callable[..., Figure]] = {
+    "phase_diagram": maps.figure_numris,
+    "flows": figure_comp05,
+    "relaxation": figure_comp06,
+    "curves": figure_comp01,
+    "characteristic": figure_characteristic,
+    "lifetimes": figure_lifetimes,
+    "one_channel": figure_one_channel,
+    "scene": figure_scene,
+    "circuit": figure_model,
+    "urn": figure_app1,
+    "urn_current": appendix.figure_app2,
+    "urn_difference": appendix.figure_app3,
+    "urn_scaled": appendix.figure_app4,
+}
+LABELS = {
+    "numris": "phase_diagram", "comp05": "flows", "comp06": "relaxation", "comp01": "curves",
+    "model": "circuit", "app1": "urn", "app2": "urn_current", "app3": "urn_difference",
+    "app4": "urn_scaled",
+}  # fmt: skip
+WITHOUT_FILE = ("circuit", "urn")
+ANY_SHAPE = ("circuit", "scene", "flows")
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Write FILE_NAME.png and FILE_NAME.pdf."""
+    options = cli.parser("plot", __doc__)
+    options.add_argument("name", metavar="NAME", choices=sorted([*FIGURES, *LABELS]))
+    options.add_argument("files", metavar="FILE.h5", type=Path, nargs="*")
+    options.add_argument(
+        "--select", metavar="KEY=VALUE", nargs="+", type=_pair, default=[],
+        help="only the points with these values of keys that were scanned",
+    )  # fmt: skip
+    cli.add_task(options)
+    options.add_argument(
+        "--snapshot", type=cli.integer(1), metavar="K",
+        help="which snapshot a scene shows, from 1 (default: the last)",
+    )  # fmt: skip
+    add_models(options)
+    cli.add_output(options)
+    given = options.parse_args(arguments)
+    name = LABELS.get(given.name, given.name)
+    if not given.files:
+        if name not in WITHOUT_FILE:
+            raise cli.InputError(f"figure {given.name} needs at least one file of results")
+        style.save(FIGURES[name](), given.output, given.name)
+        return 0
+    files = [[one] for one in given.files] if name == "one_channel" else [given.files]
+    found = [Points(selected(dataset_of(one, verify=given.verify), dict(given.select)))
+             for one in files]  # fmt: skip
+    for points in found:
+        if (points.shape == "urn") != name.startswith("urn") and name not in ANY_SHAPE:
+            raise cli.InputError(f"{points.files}: a run of shape '{points.shape}', not of "
+                                 f"figure {given.name}")  # fmt: skip
+    made = _drawn(name, found, given)
+    if remarks := [points.remark for points in found if points.remark]:
+        style.note(made.axes[0], "; ".join(remarks))
+    for points in found:
+        points.say_if_partial()
+    style.save(made, given.output, f"{given.files[0].stem}_{given.name}")
+    return 0
+
+
+def _drawn(name: str, found: list[Points], given: argparse.Namespace) -> Figure:
+    """Return the figure; the point and replica that are asked for are from 1."""
+    draw, points = FIGURES[name], found[0]
+    words = signature(draw).parameters
+    more: dict[str, object] = {}
+    if given.theory and "models" in words:
+        more["models"] = asked(points, given.theory)
+    if "task" in words:
+        task = points.task(given.point, given.replica)
+        more |= {"task": task if given.point or given.replica or name == "scene" else None}
+    if "snapshot" in words and given.snapshot:
+        more["snapshot"] = given.snapshot - 1
+    return draw(found if name == "one_channel" else points, **more)
+
+
+def _pair(text: str) -> tuple[str, float]:
+    """Return KEY=VALUE as a pair."""
+    key, _, value = text.partition("=")
+    try:
+        return key, float(value)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text}: KEY=VALUE is wanted") from None

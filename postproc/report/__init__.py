@@ -1,1 +1,0 @@
-"""Reports about runs: a page, warnings, comparisons with theories."""

@@ -1,0 +1,54 @@
+"""A page about results."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from postproc import cli
+from postproc.figures.models import asked, default
+from postproc.reading.grid import dataset_of
+from postproc.reading.points import Points
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+    from pathlib import Path
+
+    import xarray as xr
+
+
+def report(
+    results: str | Path | xr.Dataset | Iterable[str | Path],
+    file: str | Path | None = None,
+    *,
+    theory: str | Sequence[str] | None = None,
+    verify: bool = False,
+) -> Path:
+    """Write one self-contained HTML page about results; return its path.
+
+    Parameters
+    ----------
+    results : a results file, several (`merge`), or a dataset of `open_results` or `merge`.
+    file : the page; None: in the current folder, with the name of the first results file.
+    theory : names of theories, "window" (the paper's), "renewal" or "direction"; None: those that
+        the figures draw.
+    verify : whether to read files as a whole and check their digests.
+
+    Raises
+    ------
+    InputError
+        There are no results, the page cannot be written, or Bokeh is not installed.
+    """
+    points = Points(dataset_of(results, verify=verify))
+    name = points.attrs["files"][0].rpartition("/")[2].removesuffix(".h5")
+    path = cli.file_to_write(cli.path_of(f"{name}.html" if file is None else file, "file"))
+    names = [theory] if isinstance(theory, str) else theory
+    models = default(points) if names is None else asked(points, names)
+    page = cli.extra("report", "postproc.reporting.page").page
+    text = page(points, {one.name: one for one in models})
+    points.say_if_partial()
+    cli.output_folder(path.parent)
+    try:
+        path.write_text(text, encoding="utf-8")
+    except OSError as problem:
+        raise cli.InputError(f"cannot write {path}: {problem.strerror}") from problem
+    return path

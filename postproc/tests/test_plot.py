@@ -1,0 +1,156 @@
+"""Figures as functions, merged results, and one number for one thing wherever it is shown."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import matplotlib as mpl
+import numpy as np
+import pytest
+from matplotlib.axes import Axes
+from matplotlib.collections import PathCollection, QuadMesh
+from matplotlib.container import ErrorbarContainer
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+
+import postproc
+from postproc import InputError, plot
+from postproc.figures import circuits, maps
+from postproc.reporting import data as columns_of
+from postproc.tests.runs import BARE, edited, leave_out, points_of, results_of
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+SHORT = {"duration": 100.0, "transient_duration": 50.0}
+SMALL = {"particles": {"number": 200}, "run": SHORT}
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    made = tmp_path_factory.mktemp("plot")
+    scan = {"threshold": [2, 4, 40], "channel2_width": [0.01, 0.05]}
+    results_of(made / "map.h5", scan=scan, **SMALL)
+    for seed in (1, 2):
+        particles = {"number": 200, "seed": seed, "urn1_number": 200}
+        results_of(made / f"seed{seed}.h5", scan={"threshold": [2, 4], "replicas": 2}, run=SHORT,
+                   particles=particles, output=BARE)  # fmt: skip
+    return made
+
+
+@pytest.mark.parametrize(
+    ("draw", "part", "kind"),
+    [
+        (plot.phase_diagram, {}, QuadMesh),
+        (plot.curves, {}, ErrorbarContainer),
+        (plot.relaxation, {"channel2_width": 0.01}, Line2D),
+        (plot.flows, {"channel2_width": 0.01, "threshold": 2}, ErrorbarContainer),
+        (plot.scene, {"channel2_width": 0.01, "threshold": 2}, PathCollection),
+        (plot.lifetimes, {"channel2_width": 0.01, "threshold": 2}, ErrorbarContainer),
+        (plot.characteristic, {"threshold": 2}, Line2D),
+    ],
+)
+def test_a_figure_is_drawn_into_axes_of_ones_own(
+    folder: Path, draw: object, part: dict[str, float], kind: type
+) -> None:
+    """It gives what matplotlib's own functions give, and sets nothing else."""
+    data, axes = postproc.open_results(folder / "map.h5").sel(part), Figure().add_subplot()
+    before = dict(mpl.rcParams)
+    drawn = draw(data, ax=axes, **({} if draw is plot.scene else {"theory": "window"}))
+    assert all(isinstance(one, kind) for one in (drawn if isinstance(drawn, list) else [drawn]))
+    assert dict(mpl.rcParams) == before
+    assert axes.has_data()
+    axes.figure.draw_without_rendering()
+
+
+def test_points_that_a_figure_cannot_show_are_named_with_a_way_to_choose(folder: Path) -> None:
+    data = postproc.open_results(folder / "map.h5")
+    for draw in (plot.flows, plot.scene):
+        with pytest.raises(InputError, match=r"data.sel\(threshold=2\)"):
+            draw(data, ax=Figure().add_subplot())
+    with pytest.raises(InputError, match="no theory 'widow'"):
+        plot.curves(data, ax=Figure().add_subplot(), theory="widow")
+
+
+def test_voltage_of_a_battery_whose_full_urn_returns_all_is_that_of_the_widths() -> None:
+    """U = ln(1 + w/w') where one gate lets all through (q = 1) and the other none (q = 0)."""
+    for width in (0.005, 0.01, 0.02):
+        state = postproc.Circuit(number=1000, threshold=7, channel2_width=width).states()[-1]
+        voltage, _ = circuits.voltage_of(np.array([state.mass_spread]), 0.0)
+        assert voltage == pytest.approx(math.log(1.0 + 0.3 / width), rel=2e-3)
+
+
+def test_the_characteristic_has_measured_voltage_and_power(folder: Path) -> None:
+    data, axes = postproc.open_results(folder / "map.h5").sel(threshold=2), Figure().add_subplot()
+    voltage, power = plot.characteristic(data, ax=axes)
+    chi, current = (postproc.mean_error(data[name])["mean"].values
+                    for name in ("chi", "polarised_current"))  # fmt: skip
+    expected = np.log((1.0 + chi) / (1.0 - chi))
+    assert np.array(voltage.get_data()) == pytest.approx(np.array([current, expected]))
+    assert np.array(power.get_data()) == pytest.approx(np.array([current, current * expected]))
+
+
+def test_merged_replicas_are_side_by_side_and_errors_made_anew(folder: Path) -> None:
+    paths = [folder / "seed1.h5", folder / "seed2.h5"]
+    merged, parts = postproc.merge(paths), [postproc.open_results(path) for path in paths]
+    assert merged["chi"].dims == ("threshold", "replica")
+    both = np.concatenate([part["chi"].values for part in parts], axis=1)
+    assert np.sort(merged["chi"].values) == pytest.approx(np.sort(both))
+    error = both.std(axis=1, ddof=1) / 2.0
+    assert merged["chi_spread"].values == pytest.approx(error)
+    assert postproc.table(paths)["chi_error"].values == pytest.approx(error)
+    assert merged.attrs["tasks"] == "8 of 8 tasks are complete"
+    assert postproc.merge([*paths, paths[0]]).sizes["replica"] == 4  # the same runs once
+    twice = postproc.merge([*paths, folder / "map.h5"])
+    assert twice["chi"].dims == ("point", "replica")  # not all combinations are there
+    assert len(postproc.table(twice)) == 2 + 6
+
+
+def test_what_differs_in_merged_runs_is_said(folder: Path, tmp_path: Path) -> None:
+    longer = results_of(tmp_path / "longer.h5", scan={"threshold": 2, "replicas": 1}, output=BARE,
+                        particles={"number": 200, "seed": 3}, run={"duration": 200.0})  # fmt: skip
+    differs = postproc.merge([folder / "seed1.h5", longer]).attrs["differs"]
+    assert "&run duration: 100.0, 200.0" in differs
+    urn = results_of(tmp_path / "urn.h5", table={"shape": "urn"}, run=SHORT, output=BARE)
+    with pytest.raises(InputError, match="shape differs: circuit, urn"):
+        postproc.merge([folder / "seed1.h5", urn])
+
+
+def test_series_come_with_a_part_of_the_dataset(folder: Path) -> None:
+    data = postproc.open_results(folder / "map.h5").sel(threshold=4)
+    series = data.series
+    assert series["urn1_number"].dims == ("channel2_width", "replica", "time")
+    stays = postproc.residences(series)
+    assert stays.groupby(["channel2_width", "replica"]).ngroups == 4
+    ends = stays.groupby(["channel2_width", "replica"]).agg({"start": "min", "duration": "sum"})
+    assert (ends["start"] + ends["duration"]).unique().tolist() == [100.0]
+
+
+def test_one_thing_has_one_number_wherever_it_is_shown(folder: Path) -> None:
+    """Polarised, homogeneous, two-state, failed and missing points."""
+    path = folder / "map.h5"
+    with edited(path) as file:
+        file["chi"][:4] = [[0.8, 0.82], [0.02, 0.03], [0.05, 0.9], [0.5, 0.6]]
+        file["polarised_current"][:4] = [[0.4, 0.42], [0.01, -0.02], [0.0, 0.5], [0.2, 0.21]]
+        file["point_status"] = np.array([0, 0, 2, 0, 0, 0], dtype="i4")
+        file["point_status"].dims[0].attach_scale(file["point"])
+        file["task_status"][3, 1] = 1
+    leave_out(path, (4, 0), (4, 1))
+    data, points = postproc.open_results(path), points_of(path)
+    table, scan = postproc.table(path), columns_of.scanned(points)
+    page = columns_of.points_of(points, scan, {})
+    for name, column in (("chi", "chi"), ("polarised_current", "current")):
+        found = postproc.mean_error(data[name], data[f"{name}_error"]).transpose("threshold", ...)
+        for what, suffix in (("mean", ""), ("error", "_error")):
+            expected = found[what].values.ravel()
+            expected[2] = math.nan  # two states have no mean
+            assert table[f"{name}{suffix}"].values == pytest.approx(expected, nan_ok=True)
+            digits = 0.05 if suffix else 1e-4
+            assert page[f"{column}{suffix}"] == pytest.approx(expected, rel=digits, nan_ok=True)
+        axes = Figure().add_subplot()
+        cells = plot.phase_diagram(data, ax=axes, variable=name).get_array().filled(math.nan)
+        shown = table[name].values.reshape(3, 2).T
+        assert cells == pytest.approx(shown, nan_ok=True)
+    assert isinstance(axes, Axes)
+    assert maps.values_of(points, "chi")[0] == pytest.approx(table["chi"], nan_ok=True)
