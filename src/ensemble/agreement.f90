@@ -6,7 +6,7 @@ module battery_agreement
   use battery_error, only: error_type, fatal_error, exit_bad_input
   use battery_kinds, only: dp
   use battery_machine, only: host_name
-  use battery_lock_file, only: lock_type, create_marker, remove_marker, is_marker_visible
+  use battery_lock_file, only: lock_type, is_lock_visible
   use battery_signals, only: stop_requested, set_stop_error
   use battery_text, only: string_type, to_text, join
   implicit none (type, external)
@@ -54,9 +54,9 @@ contains
     text = trim(text)
   end function command_line_of
 
-  !> Checks that every rank sees, by its own path, a file that rank 0 makes next to the output: a
-  !> rank that was started in another folder would write into another run's journal. Numbers of
-  !> devices and inodes cannot be compared, since they differ between machines. Collective.
+  !> Checks that every rank sees, by its own path, the lock file of rank 0: a rank that was started
+  !> in another folder would write into another run's journal. Numbers of devices and inodes cannot
+  !> be compared, since they differ between machines. Collective.
   subroutine check_output_folder(communicator, lock, file, error)
     type(communicator_type), intent(in) :: communicator
     !> Lock of rank 0.
@@ -65,15 +65,11 @@ contains
     character(len=*), intent(in) :: file
     !> The folders differ, or a signal has stopped the run; the same error on all ranks.
     type(error_type), allocatable, intent(out) :: error
-    type(error_type), allocatable :: lock_error
     real(dp) :: began
 
     if (communicator%size == 1) return
-    if (communicator%rank == 0) call create_marker(lock, error)
-    call share_error(communicator, error)
-    if (allocated(error)) return
     began = wall_seconds()
-    do while (.not. (is_marker_visible(lock) .or. allocated(error)))
+    do while (.not. (is_lock_visible(lock) .or. allocated(error)))
       if (stop_requested()) then
         call set_stop_error(error)
       else if (wall_seconds() - began > patience) then
@@ -84,12 +80,9 @@ contains
         call sleep_for(pause)
       end if
     end do
-    ! Some rank may have waited for the marker of rank 0.
+    ! Some rank may have waited for the lock file.
     call sleep_until_all(communicator)
     call share_error(communicator, error)
-    if (communicator%rank == 0) call remove_marker(lock, lock_error)
-    call share_error(communicator, lock_error)
-    if (allocated(lock_error) .and. .not. allocated(error)) call move_alloc(lock_error, error)
   end subroutine check_output_folder
 
 end module battery_agreement

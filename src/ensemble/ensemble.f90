@@ -11,8 +11,7 @@ module battery_ensemble
     close_task_queue, read_counter, share_error, share_text, least_mean_greatest, tasks_finished, &
     tasks_failed, collisions_done, sleep_until_all
   use battery_error, only: error_type, fatal_error, exit_success, exit_failure, exit_stopped_early
-  use battery_journal, only: journal_type, check_lock
-  use battery_journal_folder, only: remove_journal
+  use battery_journal, only: journal_type, check_lock, remove_journal
   use battery_launcher, only: launcher_hint
   use battery_merge, only: merge_results
   use battery_lock_file, only: lock_type, acquire_lock, release_lock

@@ -12,24 +12,23 @@
 module battery_journal
   use battery_kinds, only: dp, int64
   use battery_error, only: error_type, fatal_error
+  use battery_paths, only: is_folder
   use battery_fingerprint, only: fingerprint_text
   use battery_text, only: string_type, to_text
   use battery_clocks, only: wall_seconds
   use battery_files, only: make_folder, sync_file, remove_file, publish_file, file_exists, &
     files_matching
-  use battery_journal_folder, only: numbers_in
   use battery_lock_file, only: lock_type, is_lock_lost, lock_lost_text
   use battery_record_file, only: record_type, append_record, write_single_record, &
-    read_single_record, record_reader_type, open_records, next_record
-  use battery_task_result, only: task_result_type, to_record, from_record
+    read_single_record
+  use battery_task_result, only: task_result_type, to_record
   use battery_simulation, only: simulation_type, setup_type, serialize_simulation
   use battery_tasks, only: task_type
   use battery_archive, only: archive_type, new_archive, measuring_archive, archive_of
   implicit none (type, external)
   private
-  public :: journal_type, read_plan, begin_journal, join_journal, open_rank_file, &
-    next_result
-  public :: rank_files_in, rank_files_of, task_ids_in, check_lock
+  public :: journal_type, read_plan, begin_journal, join_journal, rank_file
+  public :: rank_files_in, rank_files_of, task_ids_in, check_lock, check_journal, remove_journal
   public :: write_finished, sync_finished, write_state, read_state
 
   !> The journal as one rank accesses it.
@@ -56,9 +55,10 @@ module battery_journal
 
 contains
 
-  !> Name of the rank file with a number.
+  !> Name of the rank file with a number, of which `next_result` reads the records.
   pure function rank_file(journal, number) result(name)
     type(journal_type), intent(in) :: journal
+    !> As in `rank_files_of`.
     integer, intent(in) :: number
     character(len=:), allocatable :: name
 
@@ -152,11 +152,11 @@ contains
     logical :: found
     integer :: k, good
 
-    names = [files_matching(folder, 'rank_*'), files_matching(folder, 'task_*.a'), &
-      files_matching(folder, 'task_*.b')]
+    names = journal_files(folder)
     allocate (task_id(size(names)))
     good = 0
     do k = 1, size(names)
+      if (index(names(k)%text, 'plan') == 1) cycle
       call read_single_record(folder//'/'//names(k)%text, record, found)
       if (.not. found) cycle
       good = good + 1
@@ -206,46 +206,14 @@ contains
     journal%mine = rank_files + rank
   end subroutine join_journal
 
-  !> Opens a rank file for `next_result`; a missing file has no results.
-  subroutine open_rank_file(journal, file, reader)
-    type(journal_type), intent(in) :: journal
-    !> Number of the rank file.
-    integer, intent(in) :: file
-    !> Reader of the rank file, to be closed with `close_records`.
-    type(record_reader_type), intent(out) :: reader
-
-    call open_records(reader, rank_file(journal, file))
-  end subroutine open_rank_file
-
-  !> Reads the next valid result of a rank file.
-  subroutine next_result(reader, result, at, found)
-    !> Reader of a record file, open.
-    type(record_reader_type), intent(inout) :: reader
-    !> Result of the next task in the file.
-    type(task_result_type), intent(out) :: result
-    !> Offset of the record in the file, in bytes; `reader%at` may be set to it.
-    integer(int64), intent(out) :: at
-    !> Whether there is such a record.
-    logical, intent(out) :: found
-    type(record_type) :: record
-
-    do
-      at = reader%at
-      call next_record(reader, record, found)
-      if (.not. found) exit
-      call from_record(record, result, found)
-      if (found) exit
-    end do
-  end subroutine next_result
-
   !> Writes the result of a finished task at once, so that it survives the end of the program. The
   !> file is synced to disk, so that it survives a crash of the machine, unless that was done
   !> shortly before: a crash then loses only results computed since. The states of the task are
   !> removed.
   subroutine write_finished(journal, found, error)
     type(journal_type), intent(inout) :: journal
-    !> The result of the task.
-    type(task_result_type), intent(in) :: found
+    !> The result of the task; not changed.
+    type(task_result_type), intent(inout) :: found
     type(error_type), allocatable, intent(out) :: error
     character(len=:), allocatable :: state
     logical :: has_state
@@ -378,5 +346,70 @@ contains
     found = .false.
     cpu_seconds = 0.0_dp
   end subroutine read_state
+
+  !> Numbers of the rank files in the folder, in any order. Names whose suffix is not the number of
+  !> a rank file are ignored.
+  function numbers_in(folder) result(numbers)
+    !> Folder of a journal, which need not be there.
+    character(len=*), intent(in) :: folder
+    integer, allocatable :: numbers(:)
+    type(string_type), allocatable :: names(:)
+    integer :: k, found, status
+
+    names = files_matching(folder, 'rank_*')
+    allocate (numbers(size(names)))
+    found = 0
+    do k = 1, size(names)
+      read (names(k)%text(6:), *, iostat=status) numbers(found + 1)
+      if (status /= 0) cycle
+      if (names(k)%text /= 'rank_'//to_text(numbers(found + 1))) cycle
+      if (numbers(found + 1) >= 0 .and. numbers(found + 1) < huge(1)) found = found + 1
+    end do
+    numbers = numbers(:found)
+  end function numbers_in
+
+  !> An error if a folder has the name of a file of the journal.
+  subroutine check_journal(folder, error)
+    !> Folder of a journal, which need not be there.
+    character(len=*), intent(in) :: folder
+    type(error_type), allocatable, intent(out) :: error
+    type(string_type), allocatable :: names(:)
+    integer :: k
+
+    names = journal_files(folder)
+    do k = 1, size(names)
+      if (.not. is_folder(folder//'/'//names(k)%text)) cycle
+      call fatal_error(error, folder//'/'//names(k)%text &
+        //': is a folder where a file should be; remove it')
+      return
+    end do
+  end subroutine check_journal
+
+  !> Names of all journal files in the folder, in any order.
+  function journal_files(folder) result(names)
+    character(len=*), intent(in) :: folder
+    type(string_type), allocatable :: names(:)
+
+    names = files_matching(folder, '@(rank_*|task_*.[ab]|plan.new|plan)')
+  end function journal_files
+
+  !> Removes the journal with all its files, the plan last. A folder with any other file stays.
+  subroutine remove_journal(folder, error)
+    !> Folder of a journal, which need not be there.
+    character(len=*), intent(in) :: folder
+    type(error_type), allocatable, intent(out) :: error
+    type(string_type), allocatable :: names(:)
+    integer :: k
+
+    if (.not. is_folder(folder)) return
+    names = journal_files(folder)
+    do k = 1, size(names)
+      if (names(k)%text /= 'plan') call remove_file(folder//'/'//names(k)%text, error)
+      if (allocated(error)) return
+    end do
+    call remove_file(folder//'/plan', error)
+    if (allocated(error)) return
+    if (size(files_matching(folder, '*')) == 0) call remove_file(folder, error)
+  end subroutine remove_journal
 
 end module battery_journal

@@ -5,38 +5,50 @@ module battery_provenance
   use battery_communicator, only: mpi_library
   use battery_gsl, only: gsl_library
   use battery_hdf5_file, only: hdf5_library
-  use battery_metadata, only: metadata_type, add_text_metadata
   use battery_text, only: new_line_character
   implicit none (type, external)
   private
-  public :: add_build_metadata, version_text, command_text
+  public :: build_attributes, build_value, version_text, command_text
+
+  !> Names of the attributes that describe the build.
+  character(len=*), parameter :: build_attributes(8) = [character(len=16) :: 'program', 'version', &
+    'git_commit', 'compiler', 'compiler_options', 'mpi_library', 'hdf5_library', 'gsl_library']
 
 contains
 
-  !> Adds attributes that describe the build: version, commit, compiler, libraries.
-  subroutine add_build_metadata(metadata)
-    type(metadata_type), intent(inout) :: metadata
+  !> Value of the attribute number `k` of `build_attributes`.
+  function build_value(k) result(text)
+    integer, intent(in) :: k
+    character(len=:), allocatable :: text
 
-    call add_text_metadata(metadata, 'program', 'battery')
-    call add_text_metadata(metadata, 'version', program_version)
-    call add_text_metadata(metadata, 'git_commit', git_commit())
-    call add_text_metadata(metadata, 'compiler', compiler_version())
-    call add_text_metadata(metadata, 'compiler_options', compiler_options())
-    call add_text_metadata(metadata, 'mpi_library', mpi_library())
-    call add_text_metadata(metadata, 'hdf5_library', hdf5_library())
-    call add_text_metadata(metadata, 'gsl_library', gsl_library())
-  end subroutine add_build_metadata
+    select case (build_attributes(k))
+    case ('program')
+      text = 'battery'
+    case ('version')
+      text = program_version
+    case ('git_commit')
+      text = git_commit()
+    case ('compiler')
+      text = compiler_version()
+    case ('compiler_options')
+      text = compiler_options()
+    case ('mpi_library')
+      text = mpi_library()
+    case ('hdf5_library')
+      text = hdf5_library()
+    case default
+      text = gsl_library()
+    end select
+  end function build_value
 
   !> Text of `--version`: name, version and commit, then the attributes of the build, one per line.
   function version_text() result(text)
     character(len=:), allocatable :: text
-    type(metadata_type) :: metadata
     integer :: k
 
     text = 'battery '//program_version//' (commit '//git_commit()//')'
-    call add_build_metadata(metadata)
-    do k = 4, size(metadata%texts)
-      text = text//new_line_character//metadata%texts(k)%name//': '//metadata%texts(k)%text
+    do k = 4, size(build_attributes)
+      text = text//new_line_character//trim(build_attributes(k))//': '//build_value(k)
     end do
     if (git_commit() == 'unknown') return
     text = trim(text//new_line_character//'sources: '//merge('changed since the commit', &

@@ -7,18 +7,17 @@ module battery_self_test
   use battery_build_information, only: program_version, git_commit
   use battery_ensemble, only: run_ensemble
   use battery_error, only: error_type, fatal_error, exit_success
-  use battery_task_output, only: task_output_type, output_datasets_type, read_task_output
+  use battery_task_output, only: task_output_type, serialize_slabs, final
   use battery_files, only: remove_file
   use battery_frozen_log, only: frozen_log_type, read_frozen_log, find_difference, is_final_state
   use battery_frozen_logs, only: exact_circuit, exact_urn, timestep_circuit, reservoir_circuit
-  use battery_hdf5_file, only: hdf5_file_type
-  use battery_journal_folder, only: remove_journal
+  use battery_journal, only: remove_journal
   use battery_kinds, only: wp, int64
   use battery_namelist_input, only: parse_namelist
   use battery_plan, only: plan_type
   use battery_process, only: process_number
   use battery_results, only: results_type, all_tasks_complete
-  use battery_results_file, only: open_results, close_results
+  use battery_results_file, only: results_file_type, open_results, read_results, close_results
   use battery_table, only: channel1, channel2
   use battery_terminal, only: print_line
   use battery_text, only: to_text, count_text, new_line_character
@@ -168,27 +167,26 @@ contains
     integer, intent(in) :: replicas
     type(error_type), allocatable, intent(out) :: error
     type(results_type) :: results
-    type(hdf5_file_type) :: file
-    type(output_datasets_type) :: output_datasets
-    type(task_output_type) :: task_output
+    type(results_file_type) :: file
+    type(task_output_type) :: output
     integer :: number, k
 
-    call open_results(name, file, results, output_datasets, error)
+    call open_results(name, file, error)
+    if (.not. allocated(error)) call read_results(file, results, error)
     if (allocated(error)) return
     if (results%replicas /= replicas .or. .not. all_tasks_complete(results)) &
       call fatal_error(error, 'not all tasks are in the file')
     number = size(log%start%x)
     do k = 1, replicas
       if (allocated(error)) exit
-      call read_task_output(file, output_datasets, k, 1, number, task_output, error)
+      call serialize_slabs(file, file%outputs, k, 1, number, output, error)
       if (allocated(error)) exit
-      associate (final => task_output%final_state)
-        if (.not. is_final_state(log, final(:number), final(number + 1:2*number), &
-          final(2*number + 1:3*number), final(3*number + 1:))) call fatal_error(error, &
-          'the final state of task '//to_text(k)//' in the file differs')
+      associate (states => output%of(final)%values)
+        if (.not. is_final_state(log, states(:, 1), states(:, 2), states(:, 3), states(:, 4))) &
+          call fatal_error(error, 'the final state of task '//to_text(k)//' in the file differs')
       end associate
     end do
-    call close_results(file, output_datasets)
+    call close_results(file)
   end subroutine compare_with_log
 
 end module battery_self_test

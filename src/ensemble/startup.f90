@@ -3,20 +3,18 @@ module battery_startup
   use battery_kinds, only: wp, dp, int64
   use battery_build_information, only: program_version
   use battery_communicator, only: communicator_type, share_error, share_words
-  use battery_checksum_footer, only: check_footer, check_discardable
+  use battery_checksum_footer, only: check_discardable
   use battery_error, only: error_type, fatal_error, exit_failure, exit_bad_input
   use battery_files, only: file_exists, remove_file
   use battery_journal, only: journal_type, read_plan, task_ids_in, begin_journal, join_journal, &
-    rank_files_in
-  use battery_journal_folder, only: check_journal, remove_journal
+    rank_files_in, check_journal, remove_journal
   use battery_lock_file, only: lock_type, acquire_lock, release_lock
-  use battery_merge, only: collect_results, sources_type, close_sources
-  use battery_metadata, only: read_metadata
+  use battery_merge, only: collect_results, sources_type
   use battery_namelist_input, only: differing_keys, parse_namelist
   use battery_plan, only: plan_type
   use battery_plan_remarks, only: remarks_of
   use battery_results, only: results_type, task_complete, point_undecided
-  use battery_results_file, only: accept_results
+  use battery_results_file, only: results_file_type, open_results, close_results, accept_results
   use battery_tasks, only: task_type, task_count, task_of, sort_longest_first, task_index_type, &
     task_index_of, task_number_of
   use battery_terminal, only: print_line
@@ -131,12 +129,12 @@ contains
 
     allocate (progress%pending(0))
     message = ''
-    call inspect_results_file(plan, progress%complete, damage, error)
+    call inspect_results_file(plan, sources%old, progress%complete, damage, error)
     if (.not. allocated(error)) call inspect_journal(plan, progress%complete, found, error)
-    if (allocated(error)) return
     call join_journal(journal, journal_folder(plan), rank_files_in(journal_folder(plan)), 0, 0)
-    call collect_results(plan, journal, .false., results, failures, replicas_needed, sources, error)
-    call close_sources(sources)
+    if (.not. allocated(error)) call collect_results(plan, journal, sources, results, failures, &
+      replicas_needed, error)
+    call close_results(sources%old)
     if (allocated(error)) return
     progress%finished = count(results%task_status == task_complete)
     if (progress%complete) then
@@ -212,25 +210,26 @@ contains
   end function journal_folder
 
   !> Inspects the results file, which must be of this input, or of one that this input extends.
-  subroutine inspect_results_file(plan, complete, damage, error)
+  subroutine inspect_results_file(plan, file, complete, damage, error)
     type(plan_type), intent(in) :: plan
+    !> The file, open if it is there and undamaged.
+    type(results_file_type), intent(inout) :: file
     !> Whether no task is pending.
     logical, intent(out) :: complete
     !> Reason for which the results file cannot be read.
     type(error_type), allocatable, intent(out) :: damage
     !> The file is of another input, or no results file; code `exit_bad_input`.
     type(error_type), allocatable, intent(out) :: error
-    character(len=:), allocatable :: version, status
     logical :: same
 
     complete = .false.
     if (.not. file_exists(plan%file)) return
-    call check_footer(plan%file, error)
-    if (.not. allocated(error)) call compare_with_file(plan, version, status, same, error)
+    call open_results(plan%file, file, error)
     if (.not. allocated(error)) then
-      complete = same .and. status == 'complete'
-      if (.not. complete .and. version /= program_version) &
-        call fatal_error(error, plan%file//' was made by version '//version//', and this is ' &
+      call compare_inputs(plan, file%namelist, file%initial_fingerprint, same, error)
+      complete = same .and. file%status == 'complete'
+      if (.not. (complete .or. allocated(error)) .and. file%version /= program_version) &
+        call fatal_error(error, plan%file//' was made by version '//file%version//', and this is ' &
         //program_version//'; name another output file, or discard it with --overwrite', &
         exit_bad_input)
     else if (error%code == exit_failure) then
@@ -240,26 +239,6 @@ contains
     end if
   end subroutine inspect_results_file
 
-  !> Compares a plan with the input of its results file, as `compare_inputs` does.
-  subroutine compare_with_file(plan, version, status, same, error)
-    type(plan_type), intent(in) :: plan
-    !> Of the file: version of the program; `complete` or `partial`.
-    character(len=:), allocatable, intent(out) :: version, status
-    logical, intent(out) :: same
-    type(error_type), allocatable, intent(out) :: error
-    character(len=:), allocatable :: before, fingerprint
-    integer(int64) :: initial_fingerprint
-    integer :: unread
-
-    same = .false.
-    call read_metadata(plan%file, version, before, status, fingerprint, error)
-    if (allocated(error)) return
-    ! Without an initial file the text is empty.
-    read (fingerprint, '(z16)', iostat=unread) initial_fingerprint
-    if (unread /= 0) initial_fingerprint = 0
-    call compare_inputs(plan, before, initial_fingerprint, same, error)
-  end subroutine compare_with_file
-
   !> Gives the results file of a plan a new footer, if it was cut off, and the contents are results
   !> of this input, or of one that this input extends.
   subroutine accept_output(plan, message, error)
@@ -268,7 +247,7 @@ contains
     character(len=:), allocatable, intent(out) :: message
     !> The file is not accepted, and unchanged; code `exit_bad_input` if it is of another input.
     type(error_type), allocatable, intent(out) :: error
-    character(len=:), allocatable :: version, status
+    type(results_file_type) :: file
     type(results_type) :: results
     type(lock_type) :: lock
     logical :: lacks_footer, same
@@ -280,20 +259,20 @@ contains
     end if
     call acquire_lock(lock, plan%file, error)
     if (allocated(error)) return
-    call check_footer(plan%file, error, lacks_footer)
-    if (lacks_footer) then
-      call compare_with_file(plan, version, status, same, error)
-      if (.not. allocated(error) .and. version /= program_version) call fatal_error(error, &
-        plan%file//' was made by version '//version//'; this one, '//program_version &
+    call open_results(plan%file, file, error, lacks_footer)
+    if (.not. allocated(error) .and. lacks_footer) then
+      call compare_inputs(plan, file%namelist, file%initial_fingerprint, same, error)
+      if (.not. allocated(error) .and. file%version /= program_version) call fatal_error(error, &
+        plan%file//' was made by version '//file%version//'; this one, '//program_version &
         //', cannot check it', exit_bad_input)
-      if (.not. allocated(error)) call accept_results(plan%file, status, lock%before, &
-        results, error)
+      if (.not. allocated(error)) call accept_results(plan%file, file, lock%before, results, error)
       if (.not. allocated(error)) message = plan%file//': accepted as it is, with a new digest: ' &
         //'its structure and its seeds are those of its namelist; ' &
         //count_text(count(results%task_status == task_complete), 'complete task')
     else if (.not. allocated(error)) then
       message = plan%file//': has its digest; there is nothing to accept'
     end if
+    call close_results(file)
     call release_lock(lock)
   end subroutine accept_output
 

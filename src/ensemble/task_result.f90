@@ -1,21 +1,22 @@
 !> Result of one task of an ensemble, as a value and as a record for the disk.
 module battery_task_result
-  use battery_kinds, only: dp, int32, int64
+  use battery_kinds, only: dp, int64
   use battery_clocks, only: utc_seconds
-  use battery_task_output, only: task_output_type
+  use battery_task_output, only: task_output_type, serialize_output, series, snapshots, final, &
+    events
   use battery_engine, only: particles_type
   use battery_machine, only: machine_text
   use battery_observer, only: get_measured
   use battery_quantities, only: measured_type, new_measured, set_average, set_count, &
     unknown_real, fingerprint_of_quantities
-  use battery_archive, only: archive_type, new_archive, archive_of
+  use battery_archive, only: archive_type, new_archive, measuring_archive, archive_of
   use battery_simulation, only: simulation_type
-  use battery_record_file, only: record_type
+  use battery_record_file, only: record_type, record_reader_type, next_record
   use battery_results, only: task_complete, task_failed, task_not_done
   use battery_tasks, only: task_type
   implicit none (type, external)
   private
-  public :: task_result_type, result_of, failed_result, to_record, from_record
+  public :: task_result_type, result_of, failed_result, to_record, next_result
 
   !> Measurements and output of one task, or the reason for its failure.
   type, extends(task_output_type) :: task_result_type
@@ -39,8 +40,7 @@ contains
     real(dp), intent(in) :: cpu_seconds, start_date
     type(task_result_type) :: found
     type(particles_type) :: particles
-    integer(int64) :: n
-    integer :: k
+    integer :: n, k
 
     found%task = task%task
     found%task_id = task%task_id
@@ -56,36 +56,44 @@ contains
     call set_average(found%measured, 'provenance/begun', start_date)
     call set_average(found%measured, 'provenance/ended', utc_seconds())
     found%host = machine_text()
-    associate (observer => simulation%observer, events => simulation%events)
-      found%series_urn1_number = int(observer%series_urn1_number(:observer%entries), int32)
-      found%series_flow = reshape(real(observer%series_flow(:, :observer%entries), dp), &
-        [4*observer%entries])
-      if (events%count > 0) then
-        associate (event => events%event(:events%count))
-          found%events = [event%kind, event%where, event%particle]
-          found%event_times = real(event%time, dp)
+    associate (observer => simulation%observer, events_found => simulation%events)
+      n = observer%entries
+      allocate (found%of(series)%values(n, 5))
+      found%of(series)%values(:, 1) = real(observer%series_urn1_number(:n), dp)
+      found%of(series)%values(:, 2:) = real(transpose(observer%series_flow(:, :n)), dp)
+      n = events_found%count
+      allocate (found%of(events)%values(n, 4))
+      if (n > 0) then
+        associate (event => events_found%event(:n), table => found%of(events)%values)
+          table(:, 1) = real(event%time, dp)
+          table(:, 2) = real(event%kind, dp)
+          table(:, 3) = real(event%where, dp)
+          table(:, 4) = real(event%particle, dp)
         end associate
       end if
     end associate
     ! A run by collisions may end before the time of a snapshot.
-    n = 4_int64*simulation%engine%number
-    allocate (found%snapshots(n*size(simulation%snapshot)), source=unknown_real())
+    n = simulation%engine%number
+    allocate (found%of(snapshots)%values(n*size(simulation%snapshot), 4), source=unknown_real())
     do k = 1, simulation%snapshots_taken
-      found%snapshots(n*(k - 1) + 1:n*k) = flattened_states(simulation%snapshot(k))
+      found%of(snapshots)%values(n*(k - 1) + 1:n*k, :) = states_of(simulation%snapshot(k))
     end do
     if (task%final_state) then
-      call simulation%engine%get_particles(1, simulation%engine%number, particles)
-      found%final_state = flattened_states(particles)
+      call simulation%engine%get_particles(1, n, particles)
+      found%of(final)%values = states_of(particles)
     end if
   end function result_of
 
-  !> States of particles as one array: x, y, u_x, u_y of all of them, in this order.
-  pure function flattened_states(particles) result(array)
+  !> States of particles as columns: x, y, u_x, u_y.
+  pure function states_of(particles) result(states)
     type(particles_type), intent(in) :: particles
-    real(dp), allocatable :: array(:)
+    real(dp) :: states(size(particles%x), 4)
 
-    array = real([particles%x, particles%y, particles%ux, particles%uy], dp)
-  end function flattened_states
+    states(:, 1) = real(particles%x, dp)
+    states(:, 2) = real(particles%y, dp)
+    states(:, 3) = real(particles%ux, dp)
+    states(:, 4) = real(particles%uy, dp)
+  end function states_of
 
   !> Result of a failed task, with the reason.
   function failed_result(task, message) result(failed)
@@ -104,38 +112,51 @@ contains
 
   !> A result as a record.
   function to_record(found) result(record)
-    !> Result of a task, successful or failed.
-    type(task_result_type), intent(in) :: found
+    !> Result of a task, successful or failed; not changed.
+    type(task_result_type), intent(inout) :: found
     type(record_type) :: record
-    type(task_result_type) :: copy
     type(archive_type) :: archive
 
-    copy = found
-    archive = new_archive()
-    call serialize_result(copy, archive)
+    ! Its length is measured first: then there are no copies of large output while it grows.
+    archive = measuring_archive()
+    call serialize_result(found, archive)
+    archive = new_archive(archive%length)
+    call serialize_result(found, archive)
     record%owner = found%task_id
     record%tag = found%task
-    record%word = archive%word(:archive%length)
+    call move_alloc(archive%word, record%word)
   end function to_record
 
-  !> Makes a result of a record. A valid record may still be a plan or a state under another name,
-  !> or belong to a program with other quantities.
-  subroutine from_record(record, found, is_one)
-    type(record_type), intent(in) :: record
-    !> Result, if the record is one.
+  !> Reads the next result of a file of records. A valid record may be a plan or a state under
+  !> another name, or belong to a program with other quantities: it is passed over.
+  subroutine next_result(reader, found, at, is_one)
+    !> Reader of a record file, open.
+    type(record_reader_type), intent(inout) :: reader
+    !> Result of the next task in the file.
     type(task_result_type), intent(out) :: found
-    !> Whether the record is a result.
+    !> Offset of the record in the file, in bytes; `reader%at` may be set to it.
+    integer(int64), intent(out) :: at
+    !> Whether there is such a record.
     logical, intent(out) :: is_one
+    type(record_type) :: record
     type(archive_type) :: archive
+    logical :: is_record
 
-    archive = archive_of(record%word)
-    call serialize_result(found, archive)
-    is_one = .not. archive%failed()
-    if (is_one) is_one = archive%at_end() .and. abs(record%tag) <= huge(found%task)
-    if (.not. is_one) return
+    do
+      at = reader%at
+      call next_record(reader, record, is_record)
+      is_one = .false.
+      if (.not. is_record) return
+      archive = archive_of(record%word)
+      deallocate (record%word)
+      call serialize_result(found, archive)
+      if (archive%failed()) cycle
+      is_one = archive%at_end() .and. abs(record%tag) <= huge(found%task)
+      if (is_one) exit
+    end do
     found%task = int(record%tag)
     found%task_id = record%owner
-  end subroutine from_record
+  end subroutine next_result
 
   !> Writes a result to an archive or reads it.
   subroutine serialize_result(found, archive)
@@ -157,10 +178,7 @@ contains
     call archive%serialize('average', found%measured%average)
     call archive%serialize('error', found%measured%error)
     call archive%serialize('counted', found%measured%counted)
-    call archive%serialize_list('series_urn1_number', found%series_urn1_number)
-    call archive%serialize_list('series_flow', found%series_flow, 'snapshots', found%snapshots, &
-      'final_state', found%final_state, 'event_times', found%event_times)
-    call archive%serialize_list('events', found%events)
+    call serialize_output(found%task_output_type, archive)
   end subroutine serialize_result
 
 end module battery_task_result

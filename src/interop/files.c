@@ -1,6 +1,7 @@
 /* System calls for files.f90, paths.f90 and file_text.f90 that need a structure, a constant or errno
    of C headers. A result is 0 or an error number unless said otherwise. */
 #define _GNU_SOURCE
+#include <ISO_Fortran_binding.h>
 #include <dirent.h>
 #include <errno.h>
 #include <fcntl.h>
@@ -123,7 +124,7 @@ int battery_is_locked(const char *path) {
 }
 
 /* Makes a new empty file: a file or a link that had the name is removed. */
-int battery_create_new(const char *path) {
+static int create_new(const char *path) {
   if (unlink(path) != 0 && errno != ENOENT) return errno;
   int descriptor = open(path, O_WRONLY | O_CREAT | O_EXCL | O_NOFOLLOW | O_CLOEXEC, 0666);
   if (descriptor < 0) return errno;
@@ -219,11 +220,50 @@ int battery_write_file(const char *path, const char *bytes, size_t length) {
   return shared || close(descriptor) == 0 || status != 0 ? status : errno;
 }
 
-/* The next name in an open folder that matches a pattern of `*` and `?`; NULL at the end. */
+/* Writes bytes to an open file, all of them, from an offset on. If `close` is checked too, no failure goes
+   unnoticed: a full disk may be found out only then. */
+int battery_write_at(int descriptor, const char *bytes, size_t length, int64_t at) {
+  while (length > 0) {
+    ssize_t written = pwrite(descriptor, bytes, length, at);
+    if (written < 0 && errno != EINTR) return errno;
+    if (written <= 0) continue;
+    bytes += written;
+    length -= (size_t)written;
+    at += written;
+  }
+  return 0;
+}
+
+/* Bytes of an array. gfortran 11 gives an empty array the extent -1. */
+static size_t bytes_of(const CFI_cdesc_t *values) {
+  size_t bytes = values->elem_len;
+  for (int k = 0; k < values->rank; k++)
+    bytes *= values->dim[k].extent > 0 ? (size_t)values->dim[k].extent : 0;
+  return bytes;
+}
+
+/* Writes three contiguous arrays one after the other into a file from an offset on, and ends the file
+   there; if the offset is 0, the file is made anew. */
+int battery_write_parts(const char *path, int64_t at, const CFI_cdesc_t *first, const CFI_cdesc_t *second,
+                        const CFI_cdesc_t *third) {
+  const CFI_cdesc_t *part[3] = {first, second, third};
+  int status = at == 0 ? create_new(path) : 0;
+  if (status != 0) return status;
+  int descriptor = open(path, O_WRONLY | O_CREAT | O_NOFOLLOW | O_CLOEXEC, 0666);
+  if (descriptor < 0) return errno;
+  for (int k = 0; k < 3 && status == 0; k++) {
+    status = battery_write_at(descriptor, part[k]->base_addr, bytes_of(part[k]), at);
+    at += (int64_t)bytes_of(part[k]);
+  }
+  if (status == 0 && ftruncate(descriptor, at) != 0) status = errno;
+  return close(descriptor) == 0 || status != 0 ? status : errno;
+}
+
+/* The next name in an open folder that matches a pattern of a shell; NULL at the end. */
 const char *battery_next_like(DIR *folder, const char *pattern) {
   for (;;) {
     struct dirent *entry = readdir(folder);
     if (entry == NULL) return NULL;
-    if (fnmatch(pattern, entry->d_name, FNM_PERIOD | FNM_NOESCAPE) == 0) return entry->d_name;
+    if (fnmatch(pattern, entry->d_name, FNM_PERIOD | FNM_NOESCAPE | FNM_EXTMATCH) == 0) return entry->d_name;
   }
 }

@@ -10,7 +10,7 @@ module battery_files
   implicit none (type, external)
   private
   public :: file_exists, is_readable, is_writable, is_locked, is_disk_error, files_matching
-  public :: sync_file, rename_file, remove_file, make_folder, publish_file, create_new_file
+  public :: sync_file, rename_file, remove_file, make_folder, publish_file, write_parts
   public :: file_stamp_type, file_stamp_at, has_stamp, publish_unless_replaced
 
   !> Stamp of the file that a name referred to at one time; initially: no file.
@@ -26,7 +26,6 @@ module battery_files
   procedure(number_of_path), bind(c, name='battery_remove') :: c_remove
   procedure(number_of_path), bind(c, name='battery_make_folder') :: c_make_folder
   procedure(number_of_path), bind(c, name='battery_sync') :: c_sync
-  procedure(number_of_path), bind(c, name='battery_create_new') :: c_create_new
   procedure(number_of_paths), bind(c, name='rename') :: c_rename
   procedure(returns_number), bind(c, name='battery_is_disk_error') :: c_is_disk_error
   procedure(address_of_path), bind(c, name='opendir') :: c_opendir
@@ -46,6 +45,15 @@ module battery_files
       character(kind=c_char), intent(in) :: path(*)
       integer(c_int64_t), intent(out) :: seen(5)
     end subroutine c_look_at
+
+    integer(c_int) function c_write_parts(path, at, first, second, third) &
+        bind(c, name='battery_write_parts')
+      import :: c_char, c_int, c_int64_t
+      implicit none (type, external)
+      character(kind=c_char), intent(in) :: path(*)
+      integer(c_int64_t), value, intent(in) :: at
+      type(*), intent(in) :: first(..), second(..), third(..)
+    end function c_write_parts
 
     integer(c_int) function c_put_in_place(old, new, seen) bind(c, name='battery_put_in_place')
       import :: c_char, c_int, c_int64_t
@@ -195,15 +203,21 @@ contains
     call fatal_error(error, path//': the folder cannot be made: '//reason, code)
   end subroutine make_folder
 
-  !> Makes a new empty file. A file or a link that had the name is removed: nothing is ever written
-  !> through a link.
-  subroutine create_new_file(path, error)
-    !> Path of the new file, in an existing folder.
+  !> Writes three arrays one after the other into a file, and ends the file behind them.
+  subroutine write_parts(path, at, first, second, third, error)
+    !> Path of the file.
     character(len=*), intent(in) :: path
+    !> Offset in bytes of the first array; 0: the file is made anew, and a file or a link that had
+    !> the name is removed.
+    integer(c_int64_t), intent(in) :: at
+    !> Arrays of numbers; may be empty.
+    type(*), intent(in), contiguous :: first(..), second(..), third(..)
+    !> Not all bytes could be written.
     type(error_type), allocatable, intent(out) :: error
 
-    call set_system_error(c_create_new(path//c_null_char), path//': cannot be made anew', error)
-  end subroutine create_new_file
+    call set_system_error(c_write_parts(path//c_null_char, at, first, second, third), &
+      path//': cannot be written', error)
+  end subroutine write_parts
 
   !> Whether the last failure was one of the disk, not of a name or of permissions.
   logical function is_disk_error() result(yes)
@@ -211,8 +225,8 @@ contains
     yes = c_is_disk_error() /= 0
   end function is_disk_error
 
-  !> Names, without the folder, of the entries of a folder that match a pattern with `*` and `?`, in
-  !> any order; none if there is no such folder.
+  !> Names, without the folder, of the entries of a folder that match a pattern of a shell, with
+  !> `*`, `?` and `@(one|other)`, in any order; none if there is no such folder.
   function files_matching(folder, pattern) result(names)
     !> Folder to look in, and pattern of the names.
     character(len=*), intent(in) :: folder, pattern

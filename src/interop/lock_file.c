@@ -16,6 +16,8 @@
 enum { taken = 0, held = 1, unknown = 2, again = 3, failed = 4, not_a_file = 5 };
 enum { locked, locked_by_another, no_locks };
 
+int battery_write_at(int descriptor, const char *bytes, size_t length, int64_t at);
+
 typedef struct {
   int descriptor;
   char path[PATH_MAX];
@@ -106,10 +108,9 @@ static int remove_of_ended(const char *path, const char *text, char *holder, int
 
 /* Locks the new file, and writes the text of its owner; 0, or an error number. */
 static int write_owner(int descriptor, const char *text) {
-  ssize_t length = (ssize_t)strlen(text);
   lock(descriptor);
-  errno = EIO;
-  return pwrite(descriptor, text, (size_t)length, 0) == length && fsync(descriptor) == 0 ? 0 : errno;
+  int status = battery_write_at(descriptor, text, strlen(text), 0);
+  return status == 0 && fsync(descriptor) != 0 ? errno : status;
 }
 
 /* Creates the file, locked and with its text; returns its descriptor, or -1. It is written before it

@@ -18,10 +18,8 @@ module battery_lock_file
   use battery_c_shapes, only: action_on_address, number_of_path_and_text
   use battery_kinds, only: dp
   use battery_error, only: error_type, fatal_error, exit_bad_input, exit_failure, exit_stopped_early
-  use battery_files, only: is_disk_error, file_exists, create_new_file, remove_file, &
-    file_stamp_type, file_stamp_at
-  use battery_fingerprint, only: fingerprint_of, fingerprint_text
-  use battery_paths, only: system_message, folder_of
+  use battery_files, only: is_disk_error, file_stamp_type, file_stamp_at
+  use battery_paths, only: system_message
   use battery_clocks, only: wall_seconds, sleep_for
   use battery_signals, only: stop_requested
   use battery_machine, only: host_name
@@ -30,7 +28,7 @@ module battery_lock_file
   implicit none (type, external)
   private
   public :: lock_type, acquire_lock, release_lock, is_lock_lost
-  public :: lock_lost_text, create_marker, remove_marker, is_marker_visible
+  public :: lock_lost_text, is_lock_visible
 
   !> Outcomes of an attempt to lock, as in `lock_file.c`.
   integer(c_int), parameter :: taken = 0, held = 1, unknown = 2, again = 3, not_a_file = 5
@@ -84,10 +82,11 @@ contains
     !> Advice that is added to the message if another run owns the output.
     character(len=*), intent(in), optional :: hint
     character(len=longest_text) :: holder
-    type(error_type), allocatable :: no_matter
     real(dp) :: last_attempt
+    character(len=:), allocatable :: reason
     integer(c_int) :: outcome
     integer :: failures
+    logical :: disk_failed
 
     failures = 0
     last_attempt = wall_seconds() + default_patience
@@ -110,21 +109,21 @@ contains
           return
         end if
       case (again)
-        ! A run that was killed may have left its marker file as well as its lock file.
-        if (words_of(holder) /= '') then
-          call remove_file(marker_of(lock%path, words_of(holder)), no_matter)
-          cycle
-        end if
+        ! The file of an ended run was removed.
+        if (words_of(holder) /= '') cycle
       case (not_a_file)
         call fatal_error(error, lock%path//': is not a file that a run has left; remove it, ' &
           //'or name another output file', exit_bad_input)
         return
       case default
-        ! On a network disk another run that takes the lock at this moment may look like this.
+        ! On a network disk another run that takes the lock at this moment may look like this. The
+        ! number of the error is read before anything else may change it.
+        disk_failed = is_disk_error()
+        reason = system_message()
         failures = failures + 1
-        if (failures > most_failures .or. is_disk_error()) then
-          call fatal_error(error, lock%path//': cannot be written: '//system_message(), &
-            merge(exit_failure, exit_bad_input, is_disk_error()))
+        if (failures > most_failures .or. disk_failed) then
+          call fatal_error(error, lock%path//': cannot be written: '//reason, &
+            merge(exit_failure, exit_bad_input, disk_failed))
           return
         end if
       end select
@@ -149,48 +148,31 @@ contains
   !> file is missing, this is unknown, and the result is false.
   logical function is_lock_lost(lock) result(yes)
     type(lock_type), intent(in) :: lock
-    character(len=longest_text) :: now
-    integer :: length
+    character(len=:), allocatable :: now
 
     yes = .false.
     if (.not. allocated(lock%path)) return
-    length = c_read_owner(lock%path//c_null_char, now, longest_text)
-    yes = length > 0 .and. now(:length) /= lock%text
+    now = text_now(lock)
+    yes = now /= '' .and. now /= lock%text
   end function is_lock_lost
 
-  !> Creates a marker: a file next to the output with a name unique to this run. A rank that sees it
-  !> has the same folder as rank 0.
-  subroutine create_marker(lock, error)
-    type(lock_type), intent(in) :: lock
-    type(error_type), allocatable, intent(out) :: error
-
-    call create_new_file(marker_of(lock%path, lock%text), error)
-  end subroutine create_marker
-
-  !> Removes the marker.
-  subroutine remove_marker(lock, error)
-    type(lock_type), intent(in) :: lock
-    type(error_type), allocatable, intent(out) :: error
-
-    call remove_file(marker_of(lock%path, lock%text), error)
-  end subroutine remove_marker
-
-  !> Whether this rank sees the marker of rank 0.
-  logical function is_marker_visible(lock) result(yes)
+  !> Whether this rank sees the lock file of its rank 0: then both have the same folder.
+  logical function is_lock_visible(lock) result(yes)
     type(lock_type), intent(in) :: lock
 
-    yes = file_exists(marker_of(lock%path, lock%text))
-  end function is_marker_visible
+    yes = text_now(lock) == lock%text
+  end function is_lock_visible
 
-  !> Name of the marker of a run. It does not contain that of the output, which may already have the
-  !> greatest length of a name.
-  pure function marker_of(path, text) result(mark)
-    !> Path and text of the lock file.
-    character(len=*), intent(in) :: path, text
-    character(len=:), allocatable :: mark
+  !> Text of the lock file now; empty if it is missing.
+  function text_now(lock) result(text)
+    type(lock_type), intent(in) :: lock
+    character(len=:), allocatable :: text
+    character(len=longest_text) :: now
+    integer :: length
 
-    mark = folder_of(path)//'/.battery_'//fingerprint_text(fingerprint_of(text))
-  end function marker_of
+    length = c_read_owner(lock%path//c_null_char, now, longest_text)
+    text = now(:length)
+  end function text_now
 
   !> Message of a run that has lost its lock.
   pure function lock_lost_text(lock) result(text)

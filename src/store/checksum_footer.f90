@@ -13,7 +13,8 @@ module battery_checksum_footer
   use battery_error, only: error_type, fatal_error, exit_bad_input, exit_failure
   use battery_digest, only: digest_type, begin_digest, add_to_digest, end_digest, digest_length
   use battery_foreign_bytes, only: is_results_file
-  use battery_files, only: is_readable, is_locked, create_new_file
+  use battery_files, only: is_readable, is_locked, write_parts
+  use battery_file_text, only: read_file
   use battery_paths, only: is_folder
   implicit none (type, external)
   private
@@ -174,36 +175,25 @@ contains
     end do
   end function end_in_hdf5
 
-  !> Copies a file without a footer, and adds one.
+  !> Copies a file without a footer, and adds one. All of it is in memory, as when it was made.
   subroutine copy_with_footer(name, copy, error)
     !> Paths of the file and of its copy, which is made anew.
     character(len=*), intent(in) :: name, copy
     type(error_type), allocatable, intent(out) :: error
-    character(len=:), allocatable :: first, digits
-    integer(int64) :: bytes
-    integer :: unit, copy_unit, status, closed
+    character(len=footer_length) :: footer
+    character(len=:), allocatable :: text
+    integer(int8), allocatable :: bytes(:)
 
-    call create_new_file(copy, error)
+    call read_file(name, text, error)
     if (allocated(error)) return
-    open (newunit=unit, file=name, access='stream', form='unformatted', action='read', &
-      status='old', iostat=status)
-    if (status == 0) then
-      open (newunit=copy_unit, file=copy, access='stream', form='unformatted', action='write', &
-        status='old', iostat=status)
-      if (status == 0) then
-        inquire (unit, size=bytes)
-        call read_content(unit, bytes, first, digits, status, copy_unit)
-        if (status == 0) write (copy_unit, iostat=status) footer_text(bytes, digits)
-        close (copy_unit, iostat=closed)
-        if (status == 0) status = closed
-      end if
-      close (unit)
-    end if
-    if (status /= 0) call fatal_error(error, copy//': cannot be written as a copy of '//name)
+    bytes = transfer(text, [0_int8])
+    call footer_of(bytes, footer, error)
+    if (.not. allocated(error)) call write_parts(copy, 0_int64, bytes, transfer(footer, bytes), &
+      [integer(int8) ::], error)
   end subroutine copy_with_footer
 
   !> Reads the bytes before the footer.
-  subroutine read_content(unit, count, first, digits, status, copy_unit)
+  subroutine read_content(unit, count, first, digits, status)
     !> Unit on which the file is open, at its beginning.
     integer, intent(in) :: unit
     !> Number of bytes before the footer.
@@ -214,8 +204,6 @@ contains
     character(len=:), allocatable, intent(out) :: digits
     !> Status of reading; not 0: the bytes cannot be read.
     integer, intent(out) :: status
-    !> Unit of a file to which they are written.
-    integer, intent(in), optional :: copy_unit
     integer(int8), allocatable :: bytes(:)
     type(digest_type) :: digest
     integer(int64) :: left
@@ -228,7 +216,6 @@ contains
     do while (left > 0 .and. status == 0)
       if (left < size(bytes)) bytes = bytes(:int(left))
       read (unit, iostat=status) bytes
-      if (present(copy_unit) .and. status == 0) write (copy_unit, iostat=status) bytes
       if (left == count) first = transfer(bytes, first)
       call add_to_digest(digest, bytes)
       left = left - size(bytes)

@@ -47,7 +47,7 @@ contains
   !> file that is read.
   subroutine write_attribute(file, path, name, values, error)
     !> File, open for writing.
-    type(hdf5_file_type), intent(in) :: file
+    class(hdf5_file_type), intent(in) :: file
     !> Path of the object that gets the attribute, `/` for the file; name of the attribute.
     character(len=*), intent(in) :: path, name
     !> Scalar or array, as `array_view_of` takes it.
@@ -61,7 +61,7 @@ contains
   !> Adds an attribute that is a text; does nothing after an error, or to a file that is read.
   subroutine write_text_attribute(file, path, name, text, error)
     !> File, open for writing.
-    type(hdf5_file_type), intent(in) :: file
+    class(hdf5_file_type), intent(in) :: file
     !> Path of the object that gets the attribute, `/` for the file; its name and its text.
     character(len=*), intent(in) :: path, name, text
     type(error_type), allocatable, intent(inout) :: error
@@ -83,7 +83,7 @@ contains
 
   !> Adds an attribute from a description of its values.
   subroutine add_attribute(file, path, name, memory, error)
-    type(hdf5_file_type), intent(in) :: file
+    class(hdf5_file_type), intent(in) :: file
     character(len=*), intent(in) :: path, name
     type(array_view_type), intent(in) :: memory
     type(error_type), allocatable, intent(out) :: error
@@ -104,7 +104,7 @@ contains
   !> Reads an attribute that is one text; after an error it does nothing, and the text is empty.
   subroutine read_text_attribute(file, path, name, text, error)
     !> File, open.
-    type(hdf5_file_type), intent(in) :: file
+    class(hdf5_file_type), intent(in) :: file
     !> Path of the object that has the attribute, `/` for the file; name of the attribute.
     character(len=*), intent(in) :: path, name
     !> Value of the attribute.

@@ -6,14 +6,15 @@
 !>
 !> A dataset that is read must be stored in this file, and have the expected extents.
 module battery_hdf5_datasets
-  use, intrinsic :: iso_c_binding, only: c_associated, c_char, c_int, c_int64_t, c_null_char
+  use, intrinsic :: iso_c_binding, only: c_associated, c_char, c_int, c_int64_t, c_null_char, &
+    c_null_ptr, c_ptr
   use hdf5, only: hid_t, hsize_t, size_t, h5dcreate_f, h5dopen_f, h5dread_f, h5dwrite_f, &
     h5dget_space_f, h5sget_simple_extent_dims_f, h5sget_simple_extent_ndims_f, h5pcreate_f, &
     h5pset_chunk_f, h5pset_shuffle_f, h5pset_deflate_f, h5pset_fill_value_f, h5screate_simple_f, &
     h5sselect_hyperslab_f, h5tget_size_f, h5zfilter_avail_f, h5kind_to_type
   use hdf5, only: h5dget_create_plist_f, h5pget_layout_f, h5pget_external_count_f, &
-    h5p_dataset_create_f, h5s_select_set_f, h5z_filter_deflate_f, h5d_compact_f, h5d_contiguous_f, &
-    h5d_chunked_f, h5_integer_kind
+    h5p_dataset_create_f, h5s_select_set_f, h5s_all_f, h5z_filter_deflate_f, h5d_compact_f, &
+    h5d_contiguous_f, h5d_chunked_f, h5_integer_kind
   use battery_kinds, only: int32, int64
   use battery_error, only: error_type
   use battery_hdf5_file, only: hdf5_file_type, release_handle, check_status, check_links, no_handle
@@ -21,10 +22,10 @@ module battery_hdf5_datasets
   use battery_text, only: to_text
   implicit none (type, external)
   private
-  public :: serialize_dataset, write_dataset, write_scale, write_dimension, extents_of
-  public :: dataset_type, prepare_dataset, serialize_column, release_dataset
+  public :: serialize_dataset, write_dataset, write_scale, write_dimension
+  public :: dataset_type, open_dataset, extents_of, prepare_dataset, serialize_slab, release_dataset
 
-  !> A dataset whose columns are written or read one by one.
+  !> A dataset whose parts are written or read one by one.
   type :: dataset_type
     private
     character(len=:), allocatable :: path
@@ -63,44 +64,91 @@ contains
   !> the contents for both. Does nothing after an error.
   subroutine serialize_dataset(file, path, values, units, long_name, error, scales)
     !> File, open.
-    type(hdf5_file_type), intent(in) :: file
-    !> Path of the dataset in the file, from the root.
+    class(hdf5_file_type), intent(in) :: file
+    !> Path of the dataset in the file, from the root, in a group that is there.
     character(len=*), intent(in) :: path
     !> Scalar or array, as `array_view_of` takes it.
     type(*), intent(inout), target, contiguous :: values(..)
     !> Attributes of the same names, of a new file.
     character(len=*), intent(in) :: units, long_name
     type(error_type), allocatable, intent(inout) :: error
-    !> Paths of its dimension scales, in Fortran order.
+    !> Paths of its dimension scales, one per dimension, in Fortran order.
     character(len=*), intent(in) :: scales(:)
-    type(array_view_type) :: memory
-    integer(hid_t) :: dataset
-    integer :: status
 
-    memory = array_view_of(values)
-    if (allocated(error)) then
-      return
-    else if (file%is_new) then
-      call write_array_view(file, path, memory, units, long_name, error, scales)
-    else
-      call open_dataset(file, path, dataset, error)
-      call check_extents(file, path, dataset, memory%extents, error)
-      status = 0
-      if (.not. allocated(error) .and. product(memory%extents) > 0) then
-        call h5dread_f(dataset, memory%value_type, memory%address, status)
-        call check_status(file, path, 'cannot be read', status, error)
-      end if
-      status = 0
-      call release_handle(dataset, status)
-    end if
+    call serialize_whole(file, path, array_view_of(values), units, long_name, error, scales)
   end subroutine serialize_dataset
 
+  !> As `serialize_dataset`, for values that are only written, also without dimension scales.
+  subroutine write_dataset(file, path, values, units, long_name, error, scales)
+    !> New file.
+    class(hdf5_file_type), intent(in) :: file
+    !> As above.
+    character(len=*), intent(in) :: path, units, long_name
+    type(*), intent(in), target, contiguous :: values(..)
+    type(error_type), allocatable, intent(inout) :: error
+    character(len=*), intent(in), optional :: scales(:)
+
+    call serialize_whole(file, path, array_view_of(values), units, long_name, error, scales)
+  end subroutine write_dataset
+
+  !> Writes a new dataset of rank 1 that is a dimension scale, named for the last part of its path.
+  !> Does nothing after an error.
+  subroutine write_scale(file, path, values, units, long_name, error)
+    !> New file.
+    class(hdf5_file_type), intent(in) :: file
+    !> As above.
+    character(len=*), intent(in) :: path, units, long_name
+    !> The coordinates, one dimension.
+    type(*), intent(in), target, contiguous :: values(..)
+    type(error_type), allocatable, intent(inout) :: error
+
+    call serialize_whole(file, path, array_view_of(values), units, long_name, error, &
+      scale_name=path(index(path, '/', back=.true.) + 1:))
+  end subroutine write_scale
+
+  !> Makes a dimension scale without coordinates, marked as in netCDF; it has no data, and occupies
+  !> no space. Does nothing after an error.
+  subroutine write_dimension(file, path, length, long_name, error)
+    !> New file.
+    class(hdf5_file_type), intent(in) :: file
+    !> As above.
+    character(len=*), intent(in) :: path, long_name
+    !> Length of the dimension.
+    integer, intent(in) :: length
+    type(error_type), allocatable, intent(inout) :: error
+    character(len=*), parameter :: mark = 'This is a netCDF dimension but not a netCDF variable.'
+    character(len=len(mark) + 10) :: name
+
+    write (name, '(a, i10)') mark, length
+    call serialize_whole(file, path, array_view_type(h5kind_to_type(int32, h5_integer_kind), &
+      c_null_ptr, [int(length, hsize_t)]), '1', long_name, error, scale_name=name)
+  end subroutine write_dimension
+
+  !> Writes or reads a whole dataset. Does nothing after an error.
+  subroutine serialize_whole(file, path, memory, units, long_name, error, scales, scale_name)
+    class(hdf5_file_type), intent(in) :: file
+    character(len=*), intent(in) :: path, units, long_name
+    !> Values in memory; without an address, only the dataset is made.
+    type(array_view_type), intent(in) :: memory
+    type(error_type), allocatable, intent(inout) :: error
+    character(len=*), intent(in), optional :: scales(:)
+    !> Makes it a dimension scale of that name.
+    character(len=*), intent(in), optional :: scale_name
+    type(dataset_type) :: dataset
+
+    call open_or_make(file, path, memory, .false., units, long_name, error, dataset, scales, &
+      scale_name)
+    if (c_associated(memory%address) .and. product(memory%extents) > 0) &
+      call serialize_view(file, dataset, memory, h5s_all_f, h5s_all_f, error)
+    call release_dataset(file, dataset, error)
+  end subroutine serialize_whole
+
   !> Makes a dataset with fill values in a new file, or opens and checks one of a file that is read,
-  !> so that one procedure declares the contents for both; `serialize_column` then writes or reads
-  !> its columns. Does nothing after an error.
+  !> so that one procedure declares the contents for both; `serialize_slab` then writes or reads
+  !> parts of it. Does nothing after an error.
   subroutine prepare_dataset(file, path, extents, unknown, units, long_name, error, scales, dataset)
     !> File, open.
-    type(hdf5_file_type), intent(in) :: file
+    class(hdf5_file_type), intent(in) :: file
     !> Path of the dataset in the file, from the root.
     character(len=*), intent(in) :: path
     !> Extents of the dataset, in Fortran order.
@@ -116,62 +164,66 @@ contains
     type(dataset_type), intent(inout) :: dataset
     type(array_view_type) :: memory
 
-    if (allocated(error)) return
-    dataset%path = path
     memory = array_view_of(unknown)
     memory%extents = int(extents, hsize_t)
-    if (file%is_new) then
-      call write_array_view(file, path, memory, units, long_name, error, scales, prepared=dataset)
-    else
-      call open_dataset(file, path, dataset%id, error)
-      call check_extents(file, path, dataset%id, memory%extents, error)
-    end if
+    call open_or_make(file, path, memory, .true., units, long_name, error, dataset, scales)
   end subroutine prepare_dataset
 
-  !> Writes a column (the values along the first dimension) to a dataset of a new file, or reads it
-  !> from a file. Columns should be passed in the order of the dataset, which fills one chunk after
-  !> the other: HDF5 keeps one chunk in memory, and compresses it when the next one begins. Does
-  !> nothing after an error.
-  subroutine serialize_column(file, dataset, values, first, error)
+  !> Writes values to a part of a dataset of a new file, or reads them from a file. Parts should be
+  !> passed in the order of the dataset, which fills one chunk after the other: HDF5 keeps one chunk
+  !> in memory, and compresses it when the next one begins. Does nothing after an error.
+  subroutine serialize_slab(file, dataset, values, extents, first, error)
     !> File, open.
-    type(hdf5_file_type), intent(in) :: file
+    class(hdf5_file_type), intent(in) :: file
     !> Dataset from `prepare_dataset`.
     type(dataset_type), intent(in) :: dataset
-    !> Array of rank 1, as `array_view_of` takes it.
+    !> Array of as many values as the part has; HDF5 converts integers and reals.
     type(*), intent(inout), target, contiguous :: values(..)
-    !> Indices of the first value in the dataset, from 1, in Fortran order.
-    integer, intent(in) :: first(:)
+    !> Extents of the part, and indices of its first value, from 1, in Fortran order.
+    integer, intent(in) :: extents(:), first(:)
     type(error_type), allocatable, intent(inout) :: error
-    type(array_view_type) :: memory
-    integer(hsize_t) :: extents(size(first))
     integer(hid_t) :: space, part
     integer :: status
 
-    memory = array_view_of(values)
-    if (allocated(error) .or. product(memory%extents) == 0) return
-    extents = 1
-    extents(1) = product(memory%extents)
+    if (allocated(error)) return
     space = no_handle
     part = no_handle
     call h5dget_space_f(dataset%id, space, status)
     if (status == 0) call h5sselect_hyperslab_f(space, h5s_select_set_f, &
-      int(first - 1, hsize_t), extents, status)
-    if (status == 0) call h5screate_simple_f(1, extents(:1), part, status)
-    if (status == 0 .and. file%is_new) then
-      call h5dwrite_f(dataset%id, memory%value_type, memory%address, status, part, space)
-    else if (status == 0) then
-      call h5dread_f(dataset%id, memory%value_type, memory%address, status, part, space)
-    end if
+      int(first - 1, hsize_t), int(extents, hsize_t), status)
+    if (status == 0) call h5screate_simple_f(size(extents), int(extents, hsize_t), part, status)
+    if (status /= 0) part = no_handle
+    call serialize_view(file, dataset, array_view_of(values), part, space, error)
     call release_handle(part, status)
     call release_handle(space, status)
+  end subroutine serialize_slab
+
+  !> Writes values to the selected part of a dataset, or reads them. Does nothing after an error.
+  subroutine serialize_view(file, dataset, memory, part, space, error)
+    class(hdf5_file_type), intent(in) :: file
+    type(dataset_type), intent(in) :: dataset
+    type(array_view_type), intent(in) :: memory
+    !> Data spaces of the values in memory, and of the dataset with the part selected.
+    integer(hid_t), intent(in) :: part, space
+    type(error_type), allocatable, intent(inout) :: error
+    type(c_ptr) :: address
+    integer :: status
+
+    if (allocated(error)) return
+    address = memory%address
+    if (file%is_new) then
+      call h5dwrite_f(dataset%id, memory%value_type, address, status, part, space)
+    else
+      call h5dread_f(dataset%id, memory%value_type, address, status, part, space)
+    end if
     call check_status(file, dataset%path, merge('cannot be written', 'cannot be read   ', &
       file%is_new), status, error)
-  end subroutine serialize_column
+  end subroutine serialize_view
 
   !> Closes a dataset; one that is not open is no error.
   subroutine release_dataset(file, dataset, error)
     !> File that the dataset is in, still open.
-    type(hdf5_file_type), intent(in) :: file
+    class(hdf5_file_type), intent(in) :: file
     type(dataset_type), intent(inout) :: dataset
     !> The last chunk could not be written to the file; an earlier error is kept.
     type(error_type), allocatable, intent(inout) :: error
@@ -188,21 +240,21 @@ contains
   !> query of the extents of a virtual dataset would open other files. Does nothing after an error.
   subroutine open_dataset(file, path, dataset, error)
     !> File, open for reading.
-    type(hdf5_file_type), intent(in) :: file
+    class(hdf5_file_type), intent(in) :: file
     !> Path of the dataset in the file, from the root.
     character(len=*), intent(in) :: path
-    !> Dataset, open; the caller releases it.
-    integer(hid_t), intent(out) :: dataset
+    !> Dataset, open, to be released with `release_dataset`.
+    type(dataset_type), intent(out) :: dataset
     type(error_type), allocatable, intent(inout) :: error
     integer(hid_t) :: layout
     integer :: status, way, others
 
-    dataset = no_handle
+    dataset%path = path
     layout = no_handle
     call check_links(file, path, error)
     if (allocated(error)) return
-    call h5dopen_f(file%id, path, dataset, status)
-    if (status == 0) call h5dget_create_plist_f(dataset, layout, status)
+    call h5dopen_f(file%id, path, dataset%id, status)
+    if (status == 0) call h5dget_create_plist_f(dataset%id, layout, status)
     if (status == 0) call h5pget_layout_f(layout, way, status)
     if (status == 0) call h5pget_external_count_f(layout, others, status)
     call check_status(file, path, 'is no dataset', status, error)
@@ -213,18 +265,17 @@ contains
 
   !> Checks the extents of a dataset, which is read into memory of these. Does nothing after an
   !> error.
-  subroutine check_extents(file, path, dataset, wanted, error)
-    type(hdf5_file_type), intent(in) :: file
-    character(len=*), intent(in) :: path
-    !> Dataset, open; extents in Fortran order.
-    integer(hid_t), intent(in) :: dataset
+  subroutine check_extents(file, dataset, wanted, error)
+    class(hdf5_file_type), intent(in) :: file
+    !> Dataset, open; wanted extents in Fortran order.
+    type(dataset_type), intent(in) :: dataset
     integer(hsize_t), intent(in) :: wanted(:)
     type(error_type), allocatable, intent(inout) :: error
     integer(hsize_t) :: extents(size(wanted))
 
     if (allocated(error)) return
-    extents = extents_of_dataset(dataset, size(wanted))
-    if (any(extents /= wanted)) call check_status(file, path, 'has the dimensions ' &
+    extents = extents_of(dataset, size(wanted))
+    if (any(extents /= wanted)) call check_status(file, dataset%path, 'has the dimensions ' &
       //extents_text(extents)//'; by the namelist in the file they are '//extents_text(wanted), &
       1, error)
   end subroutine check_extents
@@ -244,30 +295,11 @@ contains
     if (any(extents < 0)) text = 'of another number'
   end function extents_text
 
-  !> Extents of a dataset in Fortran order; -1 if it is missing, if it has another rank, or after an
-  !> error.
-  function extents_of(file, path, rank, error) result(extents)
-    !> File, open for reading.
-    type(hdf5_file_type), intent(in) :: file
-    !> Path of the dataset in the file, from the root.
-    character(len=*), intent(in) :: path
-    !> Expected number of dimensions.
-    integer, intent(in) :: rank
-    type(error_type), allocatable, intent(inout) :: error
-    integer(hsize_t) :: extents(rank)
-    integer(hid_t) :: dataset
-    integer :: status
-
-    call open_dataset(file, path, dataset, error)
-    extents = -1
-    if (.not. allocated(error)) extents = extents_of_dataset(dataset, rank)
-    status = 0
-    call release_handle(dataset, status)
-  end function extents_of
-
   !> Extents of an open dataset, in Fortran order; -1 if it has another rank.
-  function extents_of_dataset(dataset, rank) result(extents)
-    integer(hid_t), intent(in) :: dataset
+  function extents_of(dataset, rank) result(extents)
+    !> Dataset, open, or with an error on opening.
+    type(dataset_type), intent(in) :: dataset
+    !> Expected number of dimensions.
     integer, intent(in) :: rank
     integer(hsize_t) :: extents(rank), most(rank)
     integer(hid_t) :: space
@@ -276,113 +308,55 @@ contains
     extents = -1
     space = no_handle
     found = -1
-    call h5dget_space_f(dataset, space, status)
+    call h5dget_space_f(dataset%id, space, status)
     if (status == 0) call h5sget_simple_extent_ndims_f(space, found, status)
     if (status == 0 .and. found == rank) &
       call h5sget_simple_extent_dims_f(space, extents, most, status)
     call release_handle(space, status)
-  end function extents_of_dataset
+  end function extents_of
 
-  !> Writes a new dataset; large ones are compressed. Does nothing after an error.
-  subroutine write_dataset(file, path, values, units, long_name, error, scales)
-    !> File, open for writing.
-    type(hdf5_file_type), intent(in) :: file
-    !> Path of the dataset from the root, in a group that is there.
-    character(len=*), intent(in) :: path
-    !> A scalar or an array, as `array_view_of` takes them.
-    type(*), intent(in), target, contiguous :: values(..)
-    !> Attributes of the same names.
-    character(len=*), intent(in) :: units, long_name
-    type(error_type), allocatable, intent(inout) :: error
-    !> Paths of its dimension scales, one per dimension, in Fortran order; absent: it has none.
-    character(len=*), intent(in), optional :: scales(:)
-
-    call write_array_view(file, path, array_view_of(values), units, long_name, error, scales)
-  end subroutine write_dataset
-
-  !> Writes a new dataset of rank 1 that is a dimension scale, named for the last part of its path.
-  !> Does nothing after an error.
-  subroutine write_scale(file, path, values, units, long_name, error)
-    !> File, open for writing.
-    type(hdf5_file_type), intent(in) :: file
-    !> Path of the dataset from the root, in a group that is there.
-    character(len=*), intent(in) :: path
-    !> The coordinates, one dimension.
-    type(*), intent(in), target, contiguous :: values(..)
-    !> Attributes of the same names.
-    character(len=*), intent(in) :: units, long_name
-    type(error_type), allocatable, intent(inout) :: error
-
-    call write_array_view(file, path, array_view_of(values), units, long_name, error, &
-      scale_name=path(index(path, '/', back=.true.) + 1:))
-  end subroutine write_scale
-
-  !> Makes a dimension scale without coordinates, marked as in netCDF; it has no data, and occupies
-  !> no space. Does nothing after an error.
-  subroutine write_dimension(file, path, length, long_name, error)
-    !> File, open for writing.
-    type(hdf5_file_type), intent(in) :: file
-    !> Path of the dataset from the root, in a group that is there.
-    character(len=*), intent(in) :: path
-    !> Length of the dimension.
-    integer, intent(in) :: length
-    !> Attribute of that name: what the dimension counts.
-    character(len=*), intent(in) :: long_name
-    type(error_type), allocatable, intent(inout) :: error
-    character(len=*), parameter :: mark = 'This is a netCDF dimension but not a netCDF variable.'
-    character(len=len(mark) + 10) :: name
-    type(array_view_type) :: memory
-
-    write (name, '(a, i10)') mark, length
-    memory%value_type = h5kind_to_type(int32, h5_integer_kind)
-    memory%extents = [int(length, hsize_t)]
-    call write_array_view(file, path, memory, '1', long_name, error, scale_name=name)
-  end subroutine write_dimension
-
-  !> Writes a new dataset from values in memory, or without values if their address is null. With
-  !> `scale_name` it becomes a dimension scale. With `prepared` it stays open, and the value in
-  !> memory is its fill value.
-  subroutine write_array_view(file, path, memory, units, long_name, error, scales, scale_name, &
-    prepared)
-    type(hdf5_file_type), intent(in) :: file
+  !> Makes a dataset in a new file, or opens and checks one of a file that is read. Does nothing
+  !> after an error.
+  subroutine open_or_make(file, path, memory, fills, units, long_name, error, dataset, scales, &
+    scale_name)
+    class(hdf5_file_type), intent(in) :: file
     character(len=*), intent(in) :: path, units, long_name
+    !> Type and extents of the dataset; its address is that of the fill value if it `fills`.
     type(array_view_type), intent(in) :: memory
+    logical, intent(in) :: fills
     type(error_type), allocatable, intent(inout) :: error
+    type(dataset_type), intent(inout) :: dataset
     character(len=*), intent(in), optional :: scales(:), scale_name
-    type(dataset_type), intent(inout), optional :: prepared
-    integer(hid_t) :: space, layout, dataset
+    integer(hid_t) :: space, layout
     integer :: status
 
     if (allocated(error)) return
+    if (.not. file%is_new) then
+      call open_dataset(file, path, dataset, error)
+      call check_extents(file, dataset, memory%extents, error)
+      return
+    end if
+    dataset%path = path
     layout = no_handle
-    dataset = no_handle
     call h5screate_simple_f(size(memory%extents), memory%extents, space, status)
     if (status == 0) call new_layout(memory, layout, status)
-    if (status == 0 .and. present(prepared)) &
+    if (status == 0 .and. fills) &
       call h5pset_fill_value_f(layout, memory%value_type, memory%address, status)
-    if (status == 0) call h5dcreate_f(file%id, path, memory%value_type, space, dataset, status, &
+    if (status == 0) call h5dcreate_f(file%id, path, memory%value_type, space, dataset%id, status, &
       dcpl_id=layout)
-    if (status == 0 .and. .not. present(prepared) .and. c_associated(memory%address) &
-      .and. product(memory%extents) > 0) &
-      call h5dwrite_f(dataset, memory%value_type, memory%address, status)
-    if (present(scale_name) .and. status == 0) &
-      status = c_set_scale(dataset, scale_name//c_null_char)
-    if (present(scales)) call attach_scales(file, dataset, scales, status)
-    if (present(prepared)) then
-      prepared%id = dataset
-    else
-      call release_handle(dataset, status)
-    end if
+    if (status == 0 .and. present(scale_name)) &
+      status = c_set_scale(dataset%id, scale_name//c_null_char)
+    if (present(scales)) call attach_scales(file, dataset%id, scales, status)
     call release_handle(layout, status)
     call release_handle(space, status)
     call check_status(file, path, 'cannot be written', status, error)
     call write_text_attribute(file, path, 'units', units, error)
     call write_text_attribute(file, path, 'long_name', long_name, error)
-  end subroutine write_array_view
+  end subroutine open_or_make
 
   !> Attaches dimension scales to a dataset. HDF5 counts dimensions in the reverse order of Fortran.
   subroutine attach_scales(file, dataset, scales, status)
-    type(hdf5_file_type), intent(in) :: file
+    class(hdf5_file_type), intent(in) :: file
     integer(hid_t), intent(in) :: dataset
     character(len=*), intent(in) :: scales(:)
     integer, intent(inout) :: status

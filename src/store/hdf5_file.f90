@@ -21,13 +21,12 @@ module battery_hdf5_file
     h5p_default_f, h5p_file_access_f
   use battery_kinds, only: int8, int64
   use battery_error, only: error_type, fatal_error, exit_failure, exit_bad_input
-  use battery_files, only: is_writable, create_new_file
-  use battery_paths, only: is_folder, folder_of
+  use battery_files, only: write_parts
   use battery_checksum_footer, only: footer_length, footer_of
   use battery_text, only: to_text
   implicit none (type, external)
   private
-  public :: hdf5_file_type, create_file, open_file, close_file, discard_file
+  public :: hdf5_file_type, create_file, open_file, close_file
   public :: make_group
   public :: release_handle, check_status, check_links, no_handle, hdf5_library
 
@@ -98,7 +97,7 @@ contains
   !> Creates a file in memory; `close_file` writes it to disk, over any file of the same name.
   subroutine create_file(file, name, error)
     !> File, opened here; `close_file` closes it.
-    type(hdf5_file_type), intent(out) :: file
+    class(hdf5_file_type), intent(out) :: file
     !> Path of the file.
     character(len=*), intent(in) :: name
     type(error_type), allocatable, intent(out) :: error
@@ -108,15 +107,6 @@ contains
 
     file%name = name
     file%is_new = .true.
-    if (.not. is_folder(folder_of(name))) then
-      call fatal_error(error, name//': cannot be created: there is no folder '//folder_of(name))
-    else if (is_folder(name)) then
-      call fatal_error(error, name//': cannot be created: a folder has that name')
-    else if (.not. is_writable(folder_of(name))) then
-      call fatal_error(error, &
-        name//': cannot be created: '//folder_of(name)//' may not be written to')
-    end if
-    if (allocated(error)) return
     call new_access(access, status)
     if (status == 0) call h5pset_fapl_core_f(access, growth, .false., status)
     if (status == 0) call h5fcreate_f(name, h5f_acc_trunc_f, file%id, status, access_prp=access)
@@ -127,7 +117,7 @@ contains
   !> Opens a file for reading. `check_footer` reports a missing or unreadable file.
   subroutine open_file(file, name, error)
     !> File, opened here; `close_file` closes it.
-    type(hdf5_file_type), intent(out) :: file
+    class(hdf5_file_type), intent(out) :: file
     !> Path of the file.
     character(len=*), intent(in) :: name
     type(error_type), allocatable, intent(out) :: error
@@ -168,38 +158,34 @@ contains
     if (status == 0) call h5pset_fclose_degree_f(access, h5f_close_strong_f, status)
   end subroutine new_access
 
-  !> Closes a file, and writes a new file to disk; a file that is not open is no error.
+  !> Closes a file; a file that is not open is no error. A new file is written to the disk, unless
+  !> there was an error.
   subroutine close_file(file, error)
     !> File, open.
-    type(hdf5_file_type), intent(inout) :: file
-    type(error_type), allocatable, intent(out) :: error
+    class(hdf5_file_type), intent(inout) :: file
+    !> An earlier error is kept.
+    type(error_type), allocatable, intent(inout) :: error
     integer(int8), pointer, contiguous :: image(:)
+    character(len=footer_length) :: footer
     integer :: status
 
     if (file%id < 0) return
     status = 0
-    if (file%is_new) call get_image(file, image, status)
-    if (file%is_new .and. status == 0) call write_image(file%name, image, error)
+    if (file%is_new .and. .not. allocated(error)) then
+      call get_image(file, image, status)
+      if (status == 0) call footer_of(image, footer, error)
+      if (status == 0 .and. .not. allocated(error)) call write_parts(file%name, 0_int64, image, &
+        transfer(footer, image), [integer(int8) ::], error)
+    end if
     call release_handle(file%id, status)
     file%id = no_handle
     if (status /= 0 .and. .not. allocated(error)) &
       call fatal_error(error, file%name//': cannot be closed')
   end subroutine close_file
 
-  !> Closes a new file without writing it to disk.
-  subroutine discard_file(file)
-    !> File, open.
-    type(hdf5_file_type), intent(inout) :: file
-    integer :: ignored
-
-    ignored = 0
-    call release_handle(file%id, ignored)
-    file%id = no_handle
-  end subroutine discard_file
-
   !> Gets the bytes of a file in memory, without a copy.
   subroutine get_image(file, image, status)
-    type(hdf5_file_type), intent(in) :: file
+    class(hdf5_file_type), intent(in) :: file
     !> Bytes of the file; valid while it is open and nothing is written to it.
     integer(int8), pointer, contiguous, intent(out) :: image(:)
     integer, intent(out) :: status
@@ -222,45 +208,11 @@ contains
     call c_f_pointer(memory, image, [bytes])
   end subroutine get_image
 
-  !> Writes bytes to a new file, followed by the checksum footer. The size of the file is checked at
-  !> the end, since the runtime library does not report failed writes of buffered data.
-  subroutine write_image(name, image, error)
-    character(len=*), intent(in) :: name
-    integer(int8), intent(in), contiguous :: image(:)
-    type(error_type), allocatable, intent(out) :: error
-    character(len=256) :: reason
-    character(len=footer_length) :: footer
-    integer :: unit, status, closed
-    integer(int64) :: bytes, expected
-
-    call create_new_file(name, error)
-    if (allocated(error)) return
-    call footer_of(image, footer, error)
-    if (allocated(error)) return
-    expected = footer_length + size(image, kind=int64)
-    open (newunit=unit, file=name, access='stream', form='unformatted', action='write', &
-      status='old', iostat=status, iomsg=reason)
-    if (status == 0) then
-      reason = 'it cannot be closed'
-      write (unit, iostat=status, iomsg=reason) image, footer
-      close (unit, iostat=closed)
-      if (status == 0) status = closed
-    end if
-    if (status == 0) then
-      inquire (file=name, size=bytes)
-      if (bytes /= expected) then
-        status = 1
-        reason = 'only '//to_text(bytes)//' of '//to_text(expected)//' bytes: is the disk full?'
-      end if
-    end if
-    if (status /= 0) call fatal_error(error, name//': cannot be written: '//trim(reason))
-  end subroutine write_image
-
   !> Makes a group in a file; it must not exist yet, and its parent must. Does nothing after an
   !> error.
   subroutine make_group(file, path, error)
     !> File, open for writing.
-    type(hdf5_file_type), intent(in) :: file
+    class(hdf5_file_type), intent(in) :: file
     !> Path of the group in the file, from the root.
     character(len=*), intent(in) :: path
     type(error_type), allocatable, intent(inout) :: error
@@ -291,7 +243,7 @@ contains
   !> nothing after an error.
   subroutine check_links(file, path, error)
     !> File, open.
-    type(hdf5_file_type), intent(in) :: file
+    class(hdf5_file_type), intent(in) :: file
     !> Path from the root; `/` is the root itself.
     character(len=*), intent(in) :: path
     type(error_type), allocatable, intent(inout) :: error
@@ -317,7 +269,7 @@ contains
   !> is bad input: the checksum was valid, so the file was made like this.
   subroutine check_status(file, path, problem, status, error)
     !> File that the object is in.
-    type(hdf5_file_type), intent(in) :: file
+    class(hdf5_file_type), intent(in) :: file
     !> Path of the object in the file, from the root; what is wrong with it.
     character(len=*), intent(in) :: path, problem
     integer, intent(in) :: status

@@ -6,7 +6,7 @@
 module battery_record_file
   use battery_kinds, only: int64
   use battery_error, only: error_type, fatal_error
-  use battery_files, only: create_new_file
+  use battery_files, only: write_parts
   use battery_fingerprint, only: fingerprint_start, mix_word
   use battery_paths, only: is_file
   implicit none (type, external)
@@ -42,49 +42,20 @@ module battery_record_file
 contains
 
   !> Appends a record to the file `name`; `good_size` is the length of its valid part in bytes,
-  !> after which anything is overwritten; if it is 0, a new file is made. The record is read back:
-  !> on a full disk gfortran reports neither the write nor the close as failed.
+  !> after which anything is overwritten; if it is 0, a new file is made.
   subroutine append_record(name, record, good_size, error)
     character(len=*), intent(in) :: name
     type(record_type), intent(in) :: record
     integer(int64), intent(inout) :: good_size
     type(error_type), allocatable, intent(out) :: error
-    integer :: unit, status
-    integer(int64) :: head(head_size), found(head_size), sum, sum_found, at
-    character(len=256) :: reason
-    logical :: good
+    integer(int64) :: head(head_size), sum
 
-    if (good_size == 0) call create_new_file(name, error)
-    if (allocated(error)) return
-    reason = 'the disk may be full'
-    good = .false.
     head = [mark, record%owner, record%tag, record%generation, size(record%word, kind=int64)]
     sum = fingerprint_start
     call mix_words(sum, head)
     call mix_words(sum, record%word)
-    at = good_size
-    open (newunit=unit, file=name, access='stream', form='unformatted', action='readwrite', &
-      iostat=status, iomsg=reason)
-    if (status == 0) then
-      write (unit, pos=at + 1, iostat=status, iomsg=reason) head, record%word, sum
-      ! The rest of a longer old record must not be taken for the next record.
-      if (status == 0) endfile (unit, iostat=status, iomsg=reason)
-      close (unit)
-    end if
-    if (status == 0) then
-      open (newunit=unit, file=name, access='stream', form='unformatted', action='read', &
-        status='old', iostat=status, iomsg=reason)
-      if (status == 0) then
-        call read_record(unit, at, found, sum_found, good)
-        good = good .and. all(found == head) .and. sum_found == sum
-        close (unit)
-      end if
-    end if
-    if (good) then
-      good_size = at
-    else
-      call fatal_error(error, 'cannot write '''//name//''': '//trim(reason))
-    end if
+    call write_parts(name, good_size, head, record%word, [sum], error)
+    if (.not. allocated(error)) good_size = good_size + word_bytes*(head_size + head(head_size) + 1)
   end subroutine append_record
 
   !> Opens a file to be read from its beginning; a missing file has no records.
@@ -108,11 +79,25 @@ contains
     type(record_type), intent(out) :: record
     !> Whether there is a valid record; if not, `reader%at` does not change.
     logical, intent(out) :: found
-    integer(int64) :: head(head_size), sum
+    integer(int64) :: head(head_size), bytes, left, sum, sum_stored
+    integer :: status
 
     found = .false.
-    if (reader%is_open) call read_record(reader%unit, reader%at, head, sum, found, record%word)
+    if (.not. reader%is_open) return
+    inquire (reader%unit, size=bytes)
+    left = (bytes - reader%at)/word_bytes - head_size - 1
+    if (left < 0) return
+    read (reader%unit, pos=reader%at + 1, iostat=status) head
+    if (status /= 0 .or. head(1) /= mark) return
+    if (head(head_size) < 0 .or. head(head_size) > left) return
+    allocate (record%word(head(head_size)))
+    read (reader%unit, iostat=status) record%word, sum_stored
+    sum = fingerprint_start
+    call mix_words(sum, head)
+    call mix_words(sum, record%word)
+    found = status == 0 .and. sum_stored == sum
     if (.not. found) return
+    reader%at = reader%at + word_bytes*(head_size + head(head_size) + 1)
     record%owner = head(2)
     record%tag = head(3)
     record%generation = head(4)
@@ -126,41 +111,6 @@ contains
     if (reader%is_open) close (reader%unit)
     reader = record_reader_type()
   end subroutine close_records
-
-  !> Reads the record at the offset `at`: its header `head`, its data `word`, and the checksum `sum`
-  !> computed from both. If the record is good, `at` moves to its end. It is read in pieces: if only
-  !> its checksum is verified, a large record need not fit into memory.
-  subroutine read_record(unit, at, head, sum, good, word)
-    integer, intent(in) :: unit
-    integer(int64), intent(inout) :: at
-    integer(int64), intent(out) :: head(head_size), sum
-    !> Whether the record is complete and its checksum valid.
-    logical, intent(out) :: good
-    integer(int64), allocatable, intent(out), optional :: word(:)
-    integer(int64) :: bytes, piece(4096), sum_stored, done, left
-    integer :: status, n
-
-    good = .false.
-    inquire (unit, size=bytes)
-    left = (bytes - at)/word_bytes - head_size - 1
-    if (left < 0) return
-    read (unit, pos=at + 1, iostat=status) head
-    if (status /= 0 .or. head(1) /= mark) return
-    if (head(head_size) < 0 .or. head(head_size) > left) return
-    if (present(word)) allocate (word(head(head_size)))
-    sum = fingerprint_start
-    call mix_words(sum, head)
-    do done = 0, head(head_size) - 1, size(piece)
-      n = int(min(head(head_size) - done, size(piece, kind=int64)))
-      read (unit, iostat=status) piece(:n)
-      if (status /= 0) return
-      call mix_words(sum, piece(:n))
-      if (present(word)) word(done + 1:done + n) = piece(:n)
-    end do
-    read (unit, iostat=status) sum_stored
-    good = status == 0 .and. sum_stored == sum
-    if (good) at = at + word_bytes*(head_size + head(head_size) + 1)
-  end subroutine read_record
 
   !> Adds words to a checksum.
   pure subroutine mix_words(sum, words)

@@ -1,11 +1,12 @@
 !> The results file: contents of `battery_results` and `battery_task_output` by name, with units and
 !> named dimensions.
 !>
-!> It is made in memory (`create_results`), where it is compressed; then the output of each task is
-!> written to its datasets, from the journal or from the old results file (`open_results`).
-!> `publish_results` writes it under a temporary name, reads it back to verify the checksum, and
-!> renames it, so that there is always either the old file or the new one. Unknown values are NaN,
-!> or -1 if an attribute `_FillValue` has it.
+!> A new file is made in memory (`create_results`), where it is compressed; its attributes, its
+!> numbers (`write_results`), and the output of each task are written there. `publish_results`
+!> writes it to the disk under a temporary name, reads it back to verify the checksum, and renames
+!> it, so that there is always either the old file or the new one. An old file is opened
+!> (`open_results`) and its numbers are read (`read_results`), then the outputs of its tasks one by
+!> one. Unknown values are NaN, or -1 if an attribute `_FillValue` has it.
 module battery_results_file
   use battery_kinds, only: wp, dp, int64
   use battery_build_information, only: program_version
@@ -13,13 +14,13 @@ module battery_results_file
   use battery_files, only: file_stamp_type, sync_file, publish_unless_replaced, remove_file
   use battery_key, only: key_type, find_key
   use battery_keys, only: all_keys
-  use battery_task_output, only: task_output_type, output_datasets_type, output_extents_type, &
-    prepare_output_datasets, close_output_datasets, read_task_output, write_counting_scale, &
-    task_dimensions
-  use battery_hdf5_file, only: hdf5_file_type, create_file, open_file, close_file, discard_file, &
+  use battery_task_output, only: task_output_type, output_datasets_type, prepare_outputs, &
+    close_outputs, serialize_slabs, write_counting_scale, task_dimensions, series, snapshots, final
+  use battery_hdf5_file, only: hdf5_file_type, create_file, open_file, close_file, &
     make_group, check_status, no_handle
   use battery_hdf5_attributes, only: read_text_attribute, write_attribute, write_text_attribute
-  use battery_hdf5_datasets, only: serialize_dataset, write_dataset, write_scale, extents_of
+  use battery_hdf5_datasets, only: serialize_dataset, write_dataset, write_scale, dataset_type, &
+    open_dataset, extents_of, release_dataset
   use battery_quantities, only: quantity_type, averaged_quantities, counted_quantities, place_of, &
     unknown_count
   use battery_results, only: results_type, new_results, scatter_of, all_tasks_complete, &
@@ -27,7 +28,6 @@ module battery_results_file
     point_two_states, point_undecided
   use battery_available_memory, only: check_memory, bytes_per_task, bytes_per_entry, &
     bytes_per_state, most_numbers
-  use battery_metadata, only: metadata_type, write_metadata
   use battery_namelist_input, only: parse_namelist
   use battery_plan, only: plan_type, point_type, point_of, setup_of
   use battery_simulation, only: setup_type
@@ -36,7 +36,19 @@ module battery_results_file
   use battery_text, only: lines_of
   implicit none (type, external)
   private
-  public :: create_results, publish_results, open_results, close_results, accept_results
+  public :: results_file_type, create_results, write_results, publish_results
+  public :: open_results, read_results, close_results, accept_results
+
+  !> An open results file, with the datasets of the output of its tasks.
+  type, extends(hdf5_file_type) :: results_file_type
+    type(output_datasets_type) :: outputs
+    !> Of a file that was opened: version of the program, namelist, `complete` or `partial`, and
+    !> fingerprint of the initial file; 0: there was none.
+    character(len=:), allocatable :: version, namelist, status
+    integer(int64) :: initial_fingerprint = 0
+    !> Plan by this namelist, from `read_results`.
+    type(plan_type) :: plan
+  end type results_file_type
 
   !> Paths of the dimension scales, in Fortran order.
   character(len=*), parameter :: by_point(*) = ['/point']
@@ -45,25 +57,30 @@ module battery_results_file
 
 contains
 
-  !> Makes a file in memory with all contents except task output; `publish_results` must follow.
-  subroutine create_results(name, results, metadata, file, error)
+  !> Makes a file in memory; `publish_results` must follow.
+  subroutine create_results(name, file, error)
     !> Path of the results file.
     character(len=*), intent(in) :: name
-    !> Results, which are only read.
-    type(results_type), intent(inout) :: results
-    type(metadata_type), intent(in) :: metadata
     !> New file; not open if it cannot be made.
-    type(hdf5_file_type), intent(out) :: file
+    type(results_file_type), intent(out) :: file
     type(error_type), allocatable, intent(out) :: error
 
     call create_file(file, temporary_name(name), error)
-    if (allocated(error)) return
-    call write_metadata(file, metadata, error)
+  end subroutine create_results
+
+  !> Writes all contents except attributes of the root and task output. Does nothing after an error.
+  subroutine write_results(file, results, error)
+    !> File from `create_results`.
+    class(hdf5_file_type), intent(in) :: file
+    !> Results, which are only read.
+    type(results_type), intent(inout) :: results
+    type(error_type), allocatable, intent(inout) :: error
+
     call write_scan(file, results, error)
     call write_points(file, results, error)
     call serialize_measured(file, results, error)
     call write_precision(file, results, error)
-  end subroutine create_results
+  end subroutine write_results
 
   !> Replaces the old results file by a new one; after an error the old file is unchanged. If
   !> another file has taken its place in the meantime, the results stay in `name.part`.
@@ -71,24 +88,19 @@ contains
     !> Path of the results file.
     character(len=*), intent(in) :: name
     !> File from `create_results`.
-    type(hdf5_file_type), intent(inout) :: file
+    type(results_file_type), intent(inout) :: file
     !> Identity of the file that may be replaced.
     type(file_stamp_type), intent(in) :: before
     !> After an earlier error, while the file was filled, it is not published.
     type(error_type), allocatable, intent(inout) :: error
-    type(error_type), allocatable :: other
 
     if (file%id == no_handle) return
-    if (allocated(error)) then
-      call discard_file(file)
-      call remove_file(temporary_name(name), other)
-    else
-      call close_file(file, error)
-      call publish_temporary(name, before, error)
-    end if
+    call close_outputs(file%hdf5_file_type, file%outputs, error)
+    call close_file(file, error)
+    call publish_temporary(name, before, error)
   end subroutine publish_results
 
-  !> Checks the temporary file, and renames it to the results file; removes it after an error.
+  !> Reads the temporary file back, and renames it to the results file; removes it after an error.
   subroutine publish_temporary(name, before, error)
     character(len=*), intent(in) :: name
     type(file_stamp_type), intent(in) :: before
@@ -107,36 +119,35 @@ contains
   !> Gives a results file that lacks a footer a new one, if all in it can be read, its structure and
   !> its seeds are those that follow from its namelist, and it says of its tasks what it has of
   !> them. A copy with a footer replaces it.
-  subroutine accept_results(name, status, before, results, error)
-    !> Path of the file, and its attribute `status`.
-    character(len=*), intent(in) :: name, status
+  subroutine accept_results(name, file, before, results, error)
+    !> Path of the file.
+    character(len=*), intent(in) :: name
+    !> File from `open_results`, closed here.
+    type(results_file_type), intent(inout) :: file
     !> Stamp of the file before it was looked at, so that no change in between is accepted.
     type(file_stamp_type), intent(in) :: before
     !> Its numbers.
     type(results_type), intent(out) :: results
     type(error_type), allocatable, intent(out) :: error
-    type(hdf5_file_type) :: file
-    type(output_datasets_type) :: output_datasets
-    type(task_output_type) :: task_output
-    type(plan_type) :: plan
+    type(task_output_type) :: output
     type(point_type) :: point
     integer :: r, p
 
-    call open_contents(name, file, plan, results, output_datasets, error)
+    call read_results(file, results, error)
     if (.not. allocated(error)) then
       if (any(results%task_status < task_complete .or. results%task_status > task_not_asked) .or. &
-        status /= trim(merge('complete', 'partial ', all_tasks_complete(results)))) &
+        file%status /= trim(merge('complete', 'partial ', all_tasks_complete(results)))) &
         call fatal_error(error, name//': /task_status is not that of a file with the status ' &
-        //status, exit_bad_input)
+        //file%status, exit_bad_input)
     end if
-    do p = 1, merge(0, plan%point_count, allocated(error))
-      point = point_of(plan, p)
-      do r = 1, plan%replicas
-        if (results%task_status(r, p) == task_complete) call read_task_output(file, &
-          output_datasets, r, p, point%number, task_output, error)
+    do p = 1, merge(0, file%plan%point_count, allocated(error))
+      point = point_of(file%plan, p)
+      do r = 1, file%plan%replicas
+        if (results%task_status(r, p) == task_complete) call serialize_slabs(file, file%outputs, &
+          r, p, point%number, output, error)
       end do
     end do
-    call close_results(file, output_datasets)
+    call close_results(file)
     if (.not. allocated(error)) call copy_with_footer(name, temporary_name(name), error)
     call publish_temporary(name, before, error)
   end subroutine accept_results
@@ -152,7 +163,7 @@ contains
   !> Writes the grid of the scan: its keys in the attribute `scan` of the root, the slowest first,
   !> and the values of each key in the group `scan`.
   subroutine write_scan(file, results, error)
-    type(hdf5_file_type), intent(in) :: file
+    class(hdf5_file_type), intent(in) :: file
     type(results_type), intent(in) :: results
     type(error_type), allocatable, intent(inout) :: error
     type(key_type), allocatable :: keys(:)
@@ -172,82 +183,74 @@ contains
     call write_text_attribute(file, '/', 'scan', names(2:), error)
   end subroutine write_scan
 
-  !> Opens a results file, verifies its checksum, and reads its numbers, except the parameters of
-  !> points; task outputs are read one by one (`read_task_output`). Its datasets must be those that
-  !> follow from its namelist; otherwise the error has the code `exit_bad_input`. A file of another
-  !> version has other datasets; as for a damaged file, the code is `exit_failure`.
-  subroutine open_results(name, file, results, output_datasets, error)
+  !> Opens a results file, verifies its checksum, and reads which input it was made with. The code
+  !> of the error is `exit_failure` if the file is damaged, otherwise `exit_bad_input`.
+  subroutine open_results(name, file, error, lacks_footer)
     !> Path of the file.
     character(len=*), intent(in) :: name
     !> File, to be closed with `close_results`; not open after an error.
-    type(hdf5_file_type), intent(out) :: file
-    type(results_type), intent(out) :: results
-    type(output_datasets_type), intent(out) :: output_datasets
+    type(results_file_type), intent(out) :: file
     type(error_type), allocatable, intent(out) :: error
-    type(plan_type) :: plan
+    !> Whether the file has no footer, which is no error if this argument is present.
+    logical, intent(out), optional :: lacks_footer
+    character(len=:), allocatable :: fingerprint
+    integer :: status
+    logical :: lacks
 
-    call check_footer(name, error)
-    if (.not. allocated(error)) &
-      call open_contents(name, file, plan, results, output_datasets, error)
+    call check_footer(name, error, lacks)
+    if (present(lacks_footer)) then
+      lacks_footer = lacks
+      if (lacks) deallocate (error)
+    end if
+    if (.not. allocated(error)) call open_file(file, name, error)
+    if (allocated(error)) return
+    call read_text_attribute(file%hdf5_file_type, '/', 'version', file%version, error)
+    call read_text_attribute(file%hdf5_file_type, '/', 'namelist', file%namelist, error)
+    call read_text_attribute(file%hdf5_file_type, '/', 'status', file%status, error)
+    call read_text_attribute(file, '/', 'initial_file_fingerprint', fingerprint, error)
+    ! Without an initial file the text is empty.
+    read (fingerprint, '(z16)', iostat=status) file%initial_fingerprint
+    if (status /= 0) file%initial_fingerprint = 0
+    if (allocated(error)) call close_results(file)
   end subroutine open_results
 
-  !> As `open_results`, also for a file without a footer.
-  subroutine open_contents(name, file, plan, results, output_datasets, error)
-    character(len=*), intent(in) :: name
-    type(hdf5_file_type), intent(out) :: file
-    !> Plan by the namelist in the file.
-    type(plan_type), intent(out) :: plan
+  !> Reads the numbers of an open file, except the parameters of points; task outputs are read one
+  !> by one (`serialize_slabs`). Its datasets must be those that follow from its namelist; otherwise
+  !> the error has the code `exit_bad_input`. A file of another version has other datasets: the code
+  !> is `exit_failure`.
+  subroutine read_results(file, results, error)
+    !> File from `open_results`; closed after an error.
+    type(results_file_type), intent(inout) :: file
     type(results_type), intent(out) :: results
-    type(output_datasets_type), intent(out) :: output_datasets
     type(error_type), allocatable, intent(out) :: error
 
-    call open_file(file, name, error)
-    if (allocated(error)) return
-    call read_plan(file, plan, error)
-    if (.not. allocated(error)) call read_tasks(file, plan, results, error)
-    if (.not. allocated(error)) call open_output_datasets(file, plan, results, output_datasets, &
-      error)
-    if (allocated(error)) call close_results(file, output_datasets)
-  end subroutine open_contents
+    if (file%version /= program_version) then
+      call fatal_error(error, file%name//' is of another version')
+    else
+      call parse_namelist(file%namelist, file%name, file%plan, error)
+    end if
+    file%plan%initial_fingerprint = file%initial_fingerprint
+    if (.not. allocated(error)) call read_tasks(file, file%plan, results, error)
+    if (.not. allocated(error)) call open_outputs(file, results, error)
+    if (allocated(error)) call close_results(file)
+  end subroutine read_results
 
   !> Closes a results file that was read; a file that is not open is no error.
-  subroutine close_results(file, output_datasets)
+  subroutine close_results(file)
     !> File from `open_results`.
-    type(hdf5_file_type), intent(inout) :: file
-    type(output_datasets_type), intent(inout) :: output_datasets
+    type(results_file_type), intent(inout) :: file
     !> An error that is ignored: the file was only read.
     type(error_type), allocatable :: ignored
 
     if (file%id == no_handle) return
-    call close_output_datasets(file, output_datasets, ignored)
+    call close_outputs(file%hdf5_file_type, file%outputs, ignored)
     call close_file(file, ignored)
   end subroutine close_results
-
-  !> Reads the plan of a results file, which this version must have written.
-  subroutine read_plan(file, plan, error)
-    type(hdf5_file_type), intent(in) :: file
-    type(plan_type), intent(out) :: plan
-    type(error_type), allocatable, intent(out) :: error
-    character(len=:), allocatable :: version, namelist, fingerprint
-    integer :: status
-
-    call read_text_attribute(file, '/', 'version', version, error)
-    call read_text_attribute(file, '/', 'namelist', namelist, error)
-    call read_text_attribute(file, '/', 'initial_file_fingerprint', fingerprint, error)
-    if (allocated(error)) return
-    if (version /= program_version) then
-      call fatal_error(error, file%name//' is of another version')
-    else
-      call parse_namelist(namelist, file%name, plan, error)
-    end if
-    read (fingerprint, '(z16)', iostat=status) plan%initial_fingerprint
-    if (status /= 0) plan%initial_fingerprint = 0
-  end subroutine read_plan
 
   !> Reads the numbers of every task. Seeds and hosts of complete tasks must be valid, since the use
   !> of the other numbers depends on them.
   subroutine read_tasks(file, plan, results, error)
-    type(hdf5_file_type), intent(in) :: file
+    class(hdf5_file_type), intent(in) :: file
     type(plan_type), intent(in) :: plan
     type(results_type), intent(out) :: results
     type(error_type), allocatable, intent(inout) :: error
@@ -279,43 +282,43 @@ contains
 
   !> Opens series and states, if any task is complete, and checks that there is memory for those of
   !> one task.
-  subroutine open_output_datasets(file, plan, results, output_datasets, error)
-    type(hdf5_file_type), intent(in) :: file
-    type(plan_type), intent(in) :: plan
+  subroutine open_outputs(file, results, error)
+    type(results_file_type), intent(inout) :: file
     type(results_type), intent(in) :: results
-    type(output_datasets_type), intent(out) :: output_datasets
     type(error_type), allocatable, intent(inout) :: error
-    type(output_extents_type) :: largest
-    integer(int64) :: series(3)
+    type(dataset_type) :: dataset
+    integer(int64) :: entries(3)
+    integer :: length(4), most
 
     if (all(results%task_status /= task_complete)) return
-    largest%replicas = plan%replicas
-    largest%points = plan%point_count
-    if (plan%series_interval > 0.0_wp) then
-      series = extents_of(file, '/series/urn1_number', 3, error)
-      if (allocated(error)) return
-      call check_memory_of(bytes_per_entry*real(series(1), dp), '/series', file, error)
-      if (.not. allocated(error) .and. (series(1) < 1 .or. series(1) > int(most_numbers, int64))) &
-        call check_status(file, '/series/urn1_number', 'has no length that a series can have', 1, &
-        error)
-      if (allocated(error)) return
-      largest%entries = int(series(1))
-    end if
-    largest%snapshots = size(plan%snapshot_times)
-    largest%particles = most_particles(plan, results)
-    if (plan%final_state) largest%final_particles = largest%particles
-    call check_memory_of(bytes_per_state*largest%particles*(largest%snapshots + merge(1, 0, &
-      plan%final_state)), '/snapshots and /final', file, error)
-    call prepare_output_datasets(file, largest, real(plan%series_interval, dp), &
-      real(plan%snapshot_times, dp), output_datasets, error)
-  end subroutine open_output_datasets
+    length = 0
+    associate (plan => file%plan)
+      if (plan%series_interval > 0.0_wp) then
+        call open_dataset(file, '/series/urn1_number', dataset, error)
+        entries = extents_of(dataset, 3)
+        call release_dataset(file, dataset, error)
+        call check_memory_of(bytes_per_entry*real(entries(1), dp), '/series', file, error)
+        if (.not. allocated(error) .and. (entries(1) < 1 .or. entries(1) > int(most_numbers, &
+          int64))) call check_status(file, '/series/urn1_number', &
+          'has no length that a series can have', 1, error)
+        if (allocated(error)) return
+        length(series) = int(entries(1))
+      end if
+      most = most_particles(plan, results)
+      if (size(plan%snapshot_times) > 0) length(snapshots) = most
+      if (plan%final_state) length(final) = most
+      call check_memory_of(bytes_per_state*most*(size(plan%snapshot_times) + merge(1, 0, &
+        plan%final_state)), '/snapshots and /final', file, error)
+      call prepare_outputs(file%hdf5_file_type, plan, length, .false., file%outputs, error)
+    end associate
+  end subroutine open_outputs
 
   !> An error if there is no memory for `bytes` of a file. Does nothing after an error.
   subroutine check_memory_of(bytes, what, file, error)
     real(dp), intent(in) :: bytes
     !> Text for the datasets that need them.
     character(len=*), intent(in) :: what
-    type(hdf5_file_type), intent(in) :: file
+    class(hdf5_file_type), intent(in) :: file
     type(error_type), allocatable, intent(inout) :: error
 
     if (allocated(error)) return
@@ -341,7 +344,7 @@ contains
 
   !> Writes the dimension scales, and the parameters of the points.
   subroutine write_points(file, results, error)
-    type(hdf5_file_type), intent(in) :: file
+    class(hdf5_file_type), intent(in) :: file
     type(results_type), intent(in) :: results
     type(error_type), allocatable, intent(inout) :: error
 
@@ -375,7 +378,7 @@ contains
 
   !> Writes or reads the numbers of every task, and their standard errors over the replicas.
   subroutine serialize_measured(file, results, error)
-    type(hdf5_file_type), intent(in) :: file
+    class(hdf5_file_type), intent(in) :: file
     type(results_type), intent(inout) :: results
     type(error_type), allocatable, intent(inout) :: error
     character(len=*), parameter :: blocks = ', standard error from the run; NaN: too short'
@@ -416,7 +419,7 @@ contains
 
   !> Writes the status of each point with respect to the required precision.
   subroutine write_precision(file, results, error)
-    type(hdf5_file_type), intent(in) :: file
+    class(hdf5_file_type), intent(in) :: file
     type(results_type), intent(in) :: results
     type(error_type), allocatable, intent(inout) :: error
     character(len=*), parameter :: meaning = 'standard error over replicas, with Student''s ' &
