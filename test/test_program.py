@@ -374,7 +374,7 @@ def test_check_writes_nothing(tmp_path: Path, ranks: int) -> None:
 def test_currents_of_a_young_run_are_remarked_on(tmp_path: Path) -> None:
     """The plan and the run say in the same line what currents lack, --quiet says nothing."""
     table = {"channel1_width": "0.3", "channel2_width": "0.01"}
-    length = {"duration": "3", "transient_duration": "1"}
+    length = {"duration": "3000", "transient_duration": "1000"}
     groups = {"table": table, "run": length, "output": {"file": "'out.h5'"}}
     write(tmp_path, particles={"number": "1000"}, gate={"threshold": "7"}, **groups)
     told = [
@@ -382,8 +382,12 @@ def test_currents_of_a_young_run_are_remarked_on(tmp_path: Path) -> None:
         for words in (["--check", "case.nml"], ["case.nml"], ["--quiet", "--overwrite", "case.nml"])
     ]
     assert len(told[0]) == 1
-    assert "%: circulations still build up; for 0.25 % a transient of" in told[0][0]
+    assert "%: circulations still build up; &run transient_duration = " in told[0][0]
     assert told[1:] == [told[0], []]
+    groups["run"] = {"duration": "3", "transient_duration": "1"}
+    write(tmp_path, particles={"number": "1000"}, gate={"threshold": "7"}, **groups)
+    advice = run("--check", "--overwrite", "case.nml", folder=tmp_path).stdout
+    assert "more than 100 times this one; compare with theory at the age of the run" in advice
 
 
 def test_check_refuses_bad_input(tmp_path: Path) -> None:

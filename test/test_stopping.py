@@ -52,11 +52,12 @@ def test_the_pages_name_the_ways_that_lose_nothing(page: str) -> None:
 
 
 def test_a_stopped_run_names_the_ways_that_lose_nothing(tmp_path: Path) -> None:
-    """The message of a run that its limit stopped says how to stop one by hand."""
+    """The message of a run that its limit stopped says how to stop one by hand under mpirun."""
     write(tmp_path, wall_minutes=0.02)
-    ended = run("case.nml", folder=tmp_path)
-    assert ended.returncode == 3, ended.stderr
-    assert all(way in ended.stdout for way in WAYS)
+    for ranks in (2, 1):
+        ended = run("case.nml", folder=tmp_path, ranks=ranks)
+        assert ended.returncode == 3, ended.stderr
+        assert all(way in ended.stdout for way in WAYS) == (ranks > 1)
 
 
 def test_the_signal_that_mpirun_passes_on_loses_nothing(tmp_path: Path) -> None:

@@ -15,6 +15,7 @@ PAGES = {
         "install": "docs/install.md",
         "tutorial_phase_diagram": "docs/tutorial_phase_diagram.md",
         "tutorial_python": "docs/tutorial_python.md",
+        "troubleshooting": "docs/troubleshooting.md",
     },
     "Reference": {
         "input": "docs/input.md",
@@ -42,6 +43,7 @@ PAGES = {
         "reliability": "docs/reliability.md",
         "contributing": "CONTRIBUTING.md",
         "development": "docs/development.md",
+        "questions": "docs/questions.md",
         "changes": "CHANGELOG.md",
     },
 }

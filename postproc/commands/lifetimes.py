@@ -1,8 +1,7 @@
-"""Finite N: N2 as a birth-death chain with the theory's rates, its distribution and lifetimes.
+"""Prints, as JSON, mean lifetimes of the homogeneous and the polarised state of a circuit.
 
-Prints, as JSON, the lifetimes of the homogeneous and the polarised state of a circuit.
-
-A particle goes from urn 1 to urn 2 at rate f(N - N2)/(pi A) and back at rate f(N2)/(pi A), with the
+At finite N, N2 is a birth-death chain with the theory's rates. A particle goes from urn 1 to urn 2
+at rate f(N - N2)/(pi A) and back at rate f(N2)/(pi A), with the
 outflows of eq. (eq007). If both kinds of state are stable (T = 2 in the paper), a state is left by
 fluctuations; its lifetime is the mean time from the state to the unstable one between them. The
 lifetimes of direction are within a factor of 2.1 of runs for T = 1 and 2. At larger T they are too

@@ -1,4 +1,4 @@
-"""Results of a theory for one circuit, as JSON: stationary states, transition.
+"""Prints, as JSON, the results of a theory for one circuit: stationary states, transition.
 
 Options are named like the keys of the namelist; lengths are over the speed v = 1. Without --theory
 the results are those of window, the paper's theory, and under its own name those of direction, or

@@ -142,10 +142,11 @@ def draw_currents(
     panels = [made.add_subplot(part) for part in parts]
     for axes, limits in zip(panels, ranges[::-1], strict=True):
         draw_flows(axes, circuit, series, models, start2)
-        axes.set(ylim=limits, xlabel="")
+        axes.set(ylim=limits, xlabel="", ylabel="")
         axes.xaxis.set_major_locator(MaxNLocator(4))
         axes.yaxis.set_major_locator(MaxNLocator(5))
     panels[-1].set_xlabel("time $t$  (length / $v$)")
+    panels[-1].set_ylabel("flow (per unit time)", y=0.5 if len(panels) == 1 else 1.0)
     if len(panels) > 1:
         _break(*panels)
     return panels

@@ -10,7 +10,7 @@ import numpy as np
 
 from postproc.cli import InputError
 from postproc.progress import each
-from postproc.theory.models import FEW, MODELS, defaults
+from postproc.theory.models import FEW, MODELS, defaults, named
 
 if TYPE_CHECKING:
     import argparse
@@ -25,14 +25,6 @@ if TYPE_CHECKING:
     Floats = NDArray[np.float64]
 
 
-def named(names: Sequence[str]) -> tuple[Model, ...]:
-    """Return models by their names, in that order; raise `InputError` if there is none of one."""
-    for name in names:
-        if name not in MODELS:
-            raise InputError(f"there is no theory {name!r}; there are {', '.join(MODELS)}")
-    return tuple(MODELS[name] for name in names)
-
-
 def default(points: Points) -> tuple[Model, ...]:
     """Return the theories to draw beside points where none is named, `theory.models.defaults`.
 
@@ -43,16 +35,12 @@ def default(points: Points) -> tuple[Model, ...]:
 
 def asked(points: Points, names: Sequence[str]) -> tuple[Model, ...]:
     """Return theories by their names; raise `InputError` if one does not apply to all points."""
-    models = named(names)
-    for point, circuit in enumerate(points.circuits() if models else ()):
+    circuits = points.circuits() if names else []
+    for point in range(len(circuits)):
         if points.beyond_theory(point):
-            what = circuit.unlike or "discs in channel 2"
+            what = circuits[point].unlike or "discs in channel 2"
             raise InputError(f"{points.files}: no theory is drawn beside {what}, at point {point}")
-        for model in models:
-            if refused := model.refusal(circuit):
-                known = ", ".join(one for one in MODELS if not MODELS[one].refusal(circuit))
-                raise InputError(f"{points.files}: {refused}; those that apply: {known}")
-    return models
+    return named(names, circuits)
 
 
 def add_models(options: argparse.ArgumentParser) -> None:

@@ -16,7 +16,7 @@ import xarray as xr
 from postproc.cli import InputError, path_of
 from postproc.reading.file import ResultsFile
 from postproc.reading.points import COMPLETE, NOT_ASKED, PARAMETERS, Points, flat, mean_error
-from postproc.theory.models import MODELS, defaults
+from postproc.theory.models import MODELS, defaults, named
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -82,7 +82,7 @@ def open_results(
         A `ValueError` of one line: the file is not there, damaged, of another version, or not of
         this program; there is no such theory or group; the theory is not for this table.
     """
-    models = _named(theory)
+    models = _names(theory)
     if not (group is None or (isinstance(group, str) and group in GROUPS)):
         raise InputError(f"there is no group {group!r}; there are {', '.join(GROUPS)}")
     path = path_of(file, "file")
@@ -111,16 +111,15 @@ def open_results(
 
 def with_theory(data: xr.Dataset, theory: str | Sequence[str] | bool) -> xr.Dataset:
     """Return results with those of theories beside them, as `open_results`."""
-    points, models = Points(data), _named(theory)
+    points, models = Points(data), _names(theory)
     circuits = points.circuits()
     if theory is True and not points.scatterers:
         models = [one.name for one in defaults(circuits)]
     if not models:
         return data
+    named(models, circuits)
     urn = points.shape == "urn"
-    meanings, mixed = URN_THEORY if urn else THEORY, [n for n, one in MODELS.items() if one.mixed]
-    if urn and not set(models) <= set(mixed):
-        raise InputError(f"{points.files}: of the shape 'urn' only {', '.join(mixed)} know")
+    meanings = URN_THEORY if urn else THEORY
     starts = points.number - points.value("urn1_number")
     known: dict[tuple[object, ...], list[float]] = {}
     found = np.full((len(meanings), len(models), len(points)), math.nan)
@@ -142,15 +141,13 @@ def with_theory(data: xr.Dataset, theory: str | Sequence[str] | bool) -> xr.Data
     return data.squeeze("theory", drop=True) if isinstance(theory, str) else data
 
 
-def _named(theory: str | Sequence[str] | bool) -> list[str]:
+def _names(theory: str | Sequence[str] | bool) -> list[str]:
     """Return the names of theories; raise `InputError` if there is no such theory."""
     if isinstance(theory, bool):
         return []
-    models = [theory] if isinstance(theory, str) or not isinstance(theory, Iterable) else [*theory]
-    for model in models:
-        if not (isinstance(model, str) and model in MODELS):
-            raise InputError(f"there is no theory {model!r}; there are {', '.join(MODELS)}")
-    return models
+    names = [theory] if isinstance(theory, str) or not isinstance(theory, Iterable) else [*theory]
+    named(names)
+    return names
 
 
 def _of_urn(circuit: Circuit, model: str, _: float) -> list[float]:

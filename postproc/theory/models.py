@@ -9,7 +9,7 @@ import math
 from functools import partial
 from typing import TYPE_CHECKING
 
-from postproc.cli import finite
+from postproc.cli import InputError, finite
 from postproc.theory import direction, ports, settling, two_port
 from postproc.theory.gates import WINDOW
 from postproc.theory.model import Model
@@ -78,6 +78,22 @@ def defaults(circuits: Iterable[Circuit]) -> tuple[Model, Model]:
     if len(asked) > FEW or any(map(better.refusal, asked)):
         better = MODELS["renewal"]
     return MODELS["window"], better
+
+
+def named(names: Iterable[str], circuits: Iterable[Circuit] = ()) -> tuple[Model, ...]:
+    """Return theories by their names.
+
+    Raises `InputError` if there is none of a name, or if one does not apply to a circuit.
+    """
+    found, asked = [], set(circuits)
+    for name in names:
+        if not (isinstance(name, str) and name in MODELS):
+            raise InputError(f"there is no theory {name!r}; there are {', '.join(MODELS)}")
+        if refused := next((one for one in map(MODELS[name].refusal, asked) if one), ""):
+            able = [one for one in MODELS if not any(map(MODELS[one].refusal, asked))]
+            raise InputError(f"{refused}; these apply: {', '.join(able) or 'none'}")
+        found.append(MODELS[name])
+    return tuple(found)
 
 
 def guide() -> list[str]:

@@ -94,12 +94,12 @@ contains
     ages = ages_measured(plan, point_of(plan, worst_at))
     times = (1.0_dp + measured)*transient/max(ages(2), tiny(1.0_dp))
     if (times > most_times) then
-      text = text//', and a run that is old enough would cost more than '//to_text(nint(most_times)) &
-        //' times this one; compare with theory at the age of the run'
+      text = text//', and a run that is old enough would cost more than ' &
+        //to_text(nint(most_times))//' times this one; compare with theory at the age of the run'
     else
       text = text//'; &run transient_duration = '//to_text(nint(transient, int64)) &
-        //', duration = '//to_text(nint((1.0_dp + measured)*transient, int64))//' would lack 0.25 % ('&
-        //to_text(max(nint(times), 1))//' times the cost)'
+        //', duration = '//to_text(nint((1.0_dp + measured)*transient, int64)) &
+        //' would lack 0.25 % ('//to_text(max(nint(times), 1))//' times the cost)'
     end if
   end function current_remark
 

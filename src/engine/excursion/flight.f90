@@ -278,7 +278,7 @@ contains
 
     if (before <= 0.0_wp) return
     from = merge(channel1, channel2, position(1) > 0.0_wp)
-    ! At the end of the arc rounding finds a hit there, before which the particle would leave the urn.
+    ! At the end of an arc rounding finds a hit, before which the particle would leave the urn.
     if (facing(from)*velocity(1) > 0.0_wp) then
       velocity = velocity - 2.0_wp*dot_product(velocity, position)/dot_product(position, position) &
         *position
