@@ -1,6 +1,6 @@
-!> Urns that are polygons, for the probe of visits, and how close a path passes to a corner, over the
-!> condition number of the position there: (length of the path + reach of the polygon)(1 + 2 wall
-!> hits), see `studies/common/visits.py`.
+!> Urns that are polygons, for the probe of visits, and how close a path passes to a corner, over
+!> the condition number of the position there: (length of the path + reach of the polygon)(1 + 2
+!> wall hits), see `studies/common/visits.py`.
 module battery_probe_polygon
   use battery_kinds, only: wp
   use battery_channel, only: channel_type, channel1, channel2, facing

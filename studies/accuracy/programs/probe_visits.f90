@@ -27,8 +27,8 @@ module battery_probe_visits
 contains
 
   !> `visits URN WIDTH1 WIDTH2 COUNT INPUT_BITS FILE`: computes visits whose starts are numbers of
-  !> INPUT_BITS bits, and writes them to FILE. URN is `disc`, or the corners of a polygon as one word
-  !> x1,y1,x2,y2,...
+  !> INPUT_BITS bits, and writes them to FILE. URN is `disc`, or the corners of a polygon as one
+  !> word x1,y1,x2,y2,...
   subroutine visits_main()
     type(table_type) :: table
     real(dp), allocatable :: computed(:, :)

@@ -1,14 +1,14 @@
 !> The program `bench`: collisions and visits per second, all engines compared in one run.
 !>
 !> `bench table` reads the cases of a table, a line each: engine (or `visits`: passages through an
-!> urn, without an engine), number, threshold, widths of the channels, sides of urns that are regular
-!> polygons (0: discs), discs in channel 2, seconds of a round, time units of the warm-up. They run in
-!> turn, in several rounds, so that a drift of the machine's speed changes all rates alike. Prints
-!> version, commit and compiler, then for each case three lines, which have a number for each round:
-!> wall collisions, passages through an urn, and simulated time summed over the particles, per second
-!> of processor time.
-!> `bench single ENGINE NUMBER THRESHOLD WIDTH1 WIDTH2 COLLISIONS` runs one case once, for tools that
-!> count instructions or take the memory.
+!> urn, without an engine), number, threshold, widths of the channels, sides of urns that are
+!> regular polygons (0: discs), discs in channel 2, seconds of a round, time units of the warm-up.
+!> They run in turn, in several rounds, so that a drift of the machine's speed changes all rates
+!> alike. Prints version, commit and compiler, then for each case three lines, which have a number
+!> for each round: wall collisions, passages through an urn, and simulated time summed over the
+!> particles, per second of processor time.
+!> `bench single ENGINE NUMBER THRESHOLD WIDTH1 WIDTH2 COLLISIONS` runs one case once, for tools
+!> that count instructions or take the memory.
 program bench
   use, intrinsic :: iso_fortran_env, only: compiler_version, input_unit, output_unit
   use battery_build_information, only: program_version, git_commit
