@@ -205,6 +205,7 @@ class Fences:
             and not one.startswith("-")
             and not PLACEHOLDER.search(one)
             and not (folder / one.split(":")[0]).exists()
+            and self._make([one])
         ]
 
     def _make(self, words: list[str]) -> list[str]:
