@@ -158,15 +158,17 @@ def test_pictures_have_all_particles_inside(tmp_path: Path, table: str, engine: 
     assert walls[:, 0].min() == pytest.approx(-float(circuit.sides[0].end))
 
 
-@pytest.mark.parametrize("channel", ["channel 1", "channel 2"])
-def test_along_the_wall_of_a_channel_a_disc_is_entered_where_it_is(
-    tmp_path: Path, channel: str
-) -> None:
-    """At the end of its arc: at every time the place is that of the engine that counts hits."""
-    half, far = 0.25, 0.25 + 2.0 * np.sqrt(1.0 - 0.25**2)
-    start = {"channel 1": f"-0.09375 {half} 1 0", "channel 2": f"{far + 0.25} -{half} 1 0"}[channel]
+HALF, FAR = 0.25, 0.25 + 2.0 * np.sqrt(1.0 - 0.25**2)
+
+
+@pytest.mark.parametrize(
+    "start",
+    [f"-0.09375 {HALF} 1 0", f"{FAR + 0.25} -{HALF} 1 0", f"0.25 {HALF} 2 -1", f"0.25 {HALF} 3 1"],
+)
+def test_who_enters_a_disc_at_the_end_of_its_arc_is_where_it_is(tmp_path: Path, start: str) -> None:
+    """Along the wall of either channel, or from the corner: as by the engine that counts hits."""
     (tmp_path / "start.txt").write_text(f"{start}\n")
-    widths = f"channel1_width = {2 * half}, channel2_width = {2 * half}"
+    widths = f"channel1_width = {2 * HALF}, channel2_width = {2 * HALF}"
     places = {}
     for engine in ("excursion", "collision"):
         (tmp_path / "c.nml").write_text(
