@@ -100,8 +100,9 @@ contains
         visits%passage(at) = passage%time
         visits%u_axial(at) = merge(abs(ux), urn%axis_sign*ux, from_channels)
         if (from_channels) visits%channel(at) = passage%channel
-        ! At the corner of an opening no wall is left that would reflect it.
-        if (from_channels .and. .not. passage%time > 0.0_wp) visits%y(at) = y*(1.0_wp - epsilon(y))
+        ! In the corner of an opening, away from the wall: no hit, as elsewhere on the wall.
+        if (from_channels .and. .not. passage%time > 0.0_wp .and. y*uy < 0.0_wp) &
+          visits%y(at) = y*(1.0_wp - epsilon(y))
         visits%count = at
       end associate
     end if
