@@ -18,13 +18,13 @@ module battery_lock_file
   use battery_c_shapes, only: action_on_address, number_of_path_and_text
   use battery_kinds, only: dp
   use battery_error, only: error_type, fatal_error, exit_bad_input, exit_failure, exit_stopped_early
-  use battery_files, only: is_disk_error, file_stamp_type, file_stamp_at
-  use battery_paths, only: system_message
+  use battery_files, only: is_disk_error, file_stamp_type, file_stamp_at, files_matching
+  use battery_paths, only: system_message, folder_of
   use battery_clocks, only: wall_seconds, sleep_for
   use battery_signals, only: stop_requested
   use battery_machine, only: host_name
   use battery_process, only: process_number
-  use battery_text, only: to_text
+  use battery_text, only: string_type, to_text
   implicit none (type, external)
   private
   public :: lock_type, acquire_lock, release_lock, is_lock_lost
@@ -84,6 +84,7 @@ contains
     character(len=longest_text) :: holder
     real(dp) :: last_attempt
     character(len=:), allocatable :: reason
+    type(string_type), allocatable :: seen(:)
     integer(c_int) :: outcome
     integer :: failures
     logical :: disk_failed
@@ -99,6 +100,9 @@ contains
         longest_text, lock%handle)
       select case (outcome)
       case (taken)
+        ! sshfs remembers what a file was for 20 s, and asks anew where the folder has changed: the
+        ! lock file is new in it.
+        seen = files_matching(folder_of(file), '*')
         lock%before = file_stamp_at(file)
         return
       case (held, unknown)
