@@ -395,11 +395,11 @@ def test_killed_in_the_middle_of_a_write(tmp_path: Path) -> None:
 def interrupted(tmp_path_factory: pytest.TempPathFactory, seconds: float) -> Path:
     """Give a folder with a run killed after some finished tasks, with states of the next."""
     # On a busy machine the run may get by between two looks: then there is another.
-    for _ in range(5):
+    for _ in range(30):
         folder = tmp_path_factory.mktemp("interrupted") / "case"
         write(folder)
         process, _ = under_way(folder, 0, "--quiet")
-        if stopped_in_the_third_task(process, folder / "out.h5.tasks", 0.25 * seconds / TASKS):
+        if stopped_in_the_third_task(process, folder / "out.h5.tasks", 0.1 * seconds / TASKS):
             send([process.pid], signal.SIGKILL)
             finish(process)
             assert (folder / "out.h5.tasks/rank_0").stat().st_size > 0
