@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import datetime
 import json
-import os
 import re
 import shutil
 import statistics
 import subprocess
+import sys
 import tempfile
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -132,18 +132,23 @@ def processor() -> str:
     return f"{name}, family {family} model {model}"
 
 
-def peak_memory(program: Path, number: int = MANY, collisions: int = MANY_COLLISIONS) -> float:
-    """Return the peak memory of a run in bytes for each particle.
+# The system counts what a process has when it starts another: a small one starts the run.
+MEASURED = """
+import resource, subprocess, sys
+subprocess.run(sys.argv[1:], stdout=subprocess.DEVNULL, check=True)
+print(resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss)
+"""
 
-    The system counts what this process has when it starts the run: less than that is not seen.
-    """
+
+def peak_memory(program: Path, number: int = MANY, collisions: int = MANY_COLLISIONS) -> float:
+    """Return the peak memory of a run in bytes for each particle."""
     command = [str(program), "single", "excursion"]
     command += [str(word) for word in (number, 7 * number // 1000, 0.3, 0.01, collisions)]
-    with subprocess.Popen(command, stdout=subprocess.DEVNULL) as run:
-        _, run.returncode, used = os.wait4(run.pid, 0)
-    if run.returncode:
-        raise _failed(command, "")
-    return used.ru_maxrss * 1024.0 / number
+    words = [sys.executable, "-I", "-S", "-c", MEASURED, *command]
+    ended = subprocess.run(words, capture_output=True, text=True, check=False)
+    if ended.returncode:
+        raise _failed(command, ended.stderr)
+    return float(ended.stdout) * 1024.0 / number
 
 
 def count_instructions(program: Path, valgrind: str, lengths: tuple[int, int] = COUNTED) -> float:
