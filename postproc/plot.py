@@ -47,7 +47,7 @@ def phase_diagram(
         For a colour bar.
     """
     points = Points(data)
-    points.only(*maps.map_axes(points))
+    points.need_only(*maps.map_axes(points))
     axes = _axes(ax)
     values, _, own = maps.values_of(points, variable)
     mesh = maps.draw_map(axes, points, values, own | look)
@@ -92,10 +92,10 @@ def flows(
 ) -> list[ErrorbarContainer]:  # fmt: skip
     """Draw the four flows and both net currents of one point against time, from a series."""
     points = Points(data)
-    points.only()
+    points.need_only()
     circuit, series = points.any_circuit(0), points.series(0, replica)
     drawn = _theories(points, theory)
-    return currents.draw_flows(_axes(ax), circuit, series, drawn, points.start2(0))
+    return currents.draw_flows(_axes(ax), circuit, series, drawn, points.number2_at_start(0))
 
 
 def scene(
@@ -106,7 +106,7 @@ def scene(
     Particles that a gate counts are larger.
     """
     points = Points(data)
-    points.only()
+    points.need_only()
     axes, circuit = _axes(ax), points.any_circuit(0)
     scenes.draw_table(axes, circuit)
     return scenes.draw_particles(axes, circuit, points.snapshot(0, replica, snapshot))

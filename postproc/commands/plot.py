@@ -31,11 +31,11 @@ from postproc import cli
 from postproc.figures import appendix, maps, style
 from postproc.figures.circuits import (
     figure_characteristic,
-    figure_comp01,
-    figure_comp05,
-    figure_comp06,
+    figure_curves,
+    figure_flows,
+    figure_relaxation,
 )
-from postproc.figures.model import figure_app1, figure_model
+from postproc.figures.model import figure_circuit, figure_urn
 from postproc.figures.models import add_models, asked
 from postproc.figures.one_channel import figure_one_channel
 from postproc.figures.passages import figure_lifetimes
@@ -49,19 +49,19 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 FIGURES: dict[str, Callable[..., Figure]] = {
-    "phase_diagram": maps.figure_numris,
-    "flows": figure_comp05,
-    "relaxation": figure_comp06,
-    "curves": figure_comp01,
+    "phase_diagram": maps.figure_phase_diagram,
+    "flows": figure_flows,
+    "relaxation": figure_relaxation,
+    "curves": figure_curves,
     "characteristic": figure_characteristic,
     "lifetimes": figure_lifetimes,
     "one_channel": figure_one_channel,
     "scene": figure_scene,
-    "circuit": figure_model,
-    "urn": figure_app1,
-    "urn_current": appendix.figure_app2,
-    "urn_difference": appendix.figure_app3,
-    "urn_scaled": appendix.figure_app4,
+    "circuit": figure_circuit,
+    "urn": figure_urn,
+    "urn_current": appendix.figure_urn_current,
+    "urn_difference": appendix.figure_urn_difference,
+    "urn_scaled": appendix.figure_urn_scaled,
 }
 LABELS = {
     "numris": "phase_diagram", "comp05": "flows", "comp06": "relaxation", "comp01": "curves",

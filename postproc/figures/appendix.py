@@ -71,10 +71,10 @@ def _explain(axes: Axes, lines: Sequence[tuple[str, str]]) -> None:
 
 
 @style.settings()
-def figure_app2(points: Points, models: Sequence[Model] = ()) -> Figure:
+def figure_urn_current(points: Points, models: Sequence[Model] = ()) -> Figure:
     """Return the stationary current of the single urn against T/N, a panel for each N."""
     models = models or default(points)
-    points.only("threshold", "number", "channel1_width")
+    points.need_only("threshold", "number", "channel1_width")
     made, panels = _panels(points)
     for row, column, group in _groups(points):
         mark, colour = _look(column)
@@ -108,14 +108,14 @@ def relative_difference(current: Floats, error: Floats, expected: Floats) -> tup
 
 
 @style.settings()
-def figure_app3(points: Points, models: Sequence[Model] = ()) -> Figure:
+def figure_urn_difference(points: Points, models: Sequence[Model] = ()) -> Figure:
     """Return the relative difference of theory and measured current.
 
     Above, of the first theory (the paper's) and the second; below, on a scale of its own, of all
     but the first. Values below the upper panel are written at its edge.
     """
     models = models or default(points)
-    points.only("threshold", "number", "channel1_width")
+    points.need_only("threshold", "number", "channel1_width")
     count = np.unique(points.number).size
     made = style.figure(style.PAGE if count > 1 else 4.4, 5.6)
     panels = made.subplots(2, count, squeeze=False, sharex=True, sharey="row")
@@ -174,10 +174,10 @@ def _mark_beyond(beyond: Sequence[tuple[Axes, float, float, str]]) -> None:
 
 
 @style.settings()
-def figure_app4(points: Points, models: Sequence[Model] = ()) -> Figure:
+def figure_urn_scaled(points: Points, models: Sequence[Model] = ()) -> Figure:
     """Return currents and theory divided by N, against T/N, all N in one panel."""
     models = models or default(points)
-    points.only("threshold", "number", "channel1_width")
+    points.need_only("threshold", "number", "channel1_width")
     made = style.figure(5.0, 3.7)
     axes = made.subplots()
     groups = _groups(points)

@@ -62,7 +62,7 @@ def title(points: Points, at: int) -> str:
 
 
 @style.settings()
-def figure_comp05(
+def figure_flows(
     points: Points, models: Sequence[Model] = (), task: tuple[int, int] | None = None
 ) -> Figure:
     """Return flows and net currents against time, a panel for each point by T, eta below.
@@ -81,7 +81,9 @@ def figure_comp05(
         circuit = points.any_circuit(at)
         first = int(np.flatnonzero(points.done[at])[0])
         series = points.series(at, first if chosen is None else chosen)
-        panels = draw_currents(made, cells[0, at], circuit, series, models, points.start2(at))
+        panels = draw_currents(
+            made, cells[0, at], circuit, series, models, points.number2_at_start(at)
+        )
         panels[0].set_title(f"({chr(97 + at)})  {title(points, at)}" if count > 1
                             else title(points, at))  # fmt: skip
         for axes in panels if at > 0 else ():
@@ -98,7 +100,7 @@ def figure_comp05(
 
 
 @style.settings()
-def figure_comp06(points: Points, models: Sequence[Model] = ()) -> Figure:
+def figure_relaxation(points: Points, models: Sequence[Model] = ()) -> Figure:
     """Return chi, and below it the net current of channel 2, against time, a colour for each point.
 
     Mean over the replicas, and a band of their standard deviation. The current is counted from the
@@ -147,8 +149,7 @@ def draw_relaxation(
     lines = []
     for at, colour in zip(range(len(points)), TIME_COLOURS, strict=False):
         means = []
-        for replica in np.flatnonzero(points.done[at]):
-            series = points.series(at, int(replica))
+        for series in points.all_series(at):
             early = series.time <= end
             middle, mean, _ = binned(
                 series.time[early], values_of(series, points.number[at])[early], steps
@@ -163,7 +164,7 @@ def draw_relaxation(
                               alpha=0.25, lw=0)  # fmt: skip
         for model in models:
             if not points.beyond_theory(at) and not model.refusal(circuit := points.circuit(at)):
-                state = model.reached(circuit, points.start2(at))
+                state = model.reached(circuit, points.number2_at_start(at))
                 if state is not None:
                     level = getattr(state, field)
                     axes.axhline(level, color=colour, ls=model.dashes, lw=0.9)
@@ -185,7 +186,7 @@ def across_of(points: Points) -> tuple[str, str]:
     across = first or ("number" if "number" in names else (names or ["threshold"])[0])
     others = [name for name in names if name != across and
               not (across == "number" and name == "threshold")]  # fmt: skip
-    points.only(across, *others[:1])
+    points.need_only(across, *others[:1])
     return across, "".join(others[:1])
 
 
@@ -231,7 +232,9 @@ def _branch(group: Points, model: Model, places: Floats, fraction: bool) -> dict
         found = spread_and_current(model, circuit, thresholds)
         places = thresholds / float(circuit.number)
     else:
-        states = [model.reached(group.circuit(at), group.start2(at)) for at in range(len(group))]
+        states = [
+            model.reached(group.circuit(at), group.number2_at_start(at)) for at in range(len(group))
+        ]
         values = [(math.nan, math.nan) if one is None else (one.mass_spread, one.net_current)
                   for one in states]  # fmt: skip
         found = np.reshape(values, (-1, 2)).T
@@ -239,7 +242,7 @@ def _branch(group: Points, model: Model, places: Floats, fraction: bool) -> dict
 
 
 @style.settings()
-def figure_comp01(points: Points, models: Sequence[Model] = ()) -> Figure:
+def figure_curves(points: Points, models: Sequence[Model] = ()) -> Figure:
     """Return currents along the polarity against a key and against chi, one mark for each w'.
 
     The polarity is the instantaneous one, at all points: next to a transition chi does not decide

@@ -164,13 +164,13 @@ def values_of(points: Points, name: str) -> tuple[Floats, str, dict[str, object]
 
 
 @style.settings()
-def figure_numris(points: Points, models: Sequence[Model] = ()) -> Figure:
+def figure_phase_diagram(points: Points, models: Sequence[Model] = ()) -> Figure:
     """Return maps of chi and current, a row for each start, and of the difference of two starts.
 
     The current is counted along the instantaneous polarity: one with a fixed sign would cancel if
     the polarity reverses in a run.
     """
-    points.only(*map_axes(points), "start")
+    points.need_only(*map_axes(points), "start")
     lines, marks = of_theory(points, models or default(points))
     starts = by_start(points)
     rows = len(starts) + (len(starts) == 2)

@@ -52,12 +52,12 @@ def _measure(
         axes.text(middle, level - 0.05, text, ha="center", va="top")
 
 
-def figure_model(points: Points | None = None) -> Figure:
+def figure_circuit(points: Points | None = None) -> Figure:
     """Return the table, with some particles of the first snapshot if there are points."""
     return _figure(points, EXAMPLE)
 
 
-def figure_app1(points: Points | None = None) -> Figure:
+def figure_urn(points: Points | None = None) -> Figure:
     """Return the single urn of the appendix, with its gate and its end wall."""
     return _figure(points, URN)
 

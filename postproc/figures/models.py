@@ -30,12 +30,12 @@ def default(points: Points) -> tuple[Model, ...]:
 
     None if there are discs in channel 2, which no theory has.
     """
-    return () if points.scatterers else defaults(points.circuits())
+    return () if points.scatterers else defaults(points.circuits)
 
 
 def asked(points: Points, names: Sequence[str]) -> tuple[Model, ...]:
     """Return theories by their names; raise `InputError` if one does not apply to all points."""
-    circuits = points.circuits() if names else []
+    circuits = points.circuits if names else []
     for point in range(len(circuits)):
         if points.beyond_theory(point):
             what = circuits[point].unlike or "discs in channel 2"

@@ -112,10 +112,7 @@ def measured(points: Points) -> list[Lifetime]:
         polarised = bool(points.start[at] > MIDDLE)
         number, level = int(points.number[at]), LOW if polarised else HIGH
         found = passages.setdefault((points.circuit(at), polarised), [])
-        found += [
-            first_passage(points.series(at, int(replica)), number, level, polarised)
-            for replica in np.flatnonzero(points.done[at])
-        ]
+        found += [first_passage(one, number, level, polarised) for one in points.all_series(at)]
     lifetimes = []
     for (circuit, polarised), found in passages.items():
         if found:

@@ -36,7 +36,7 @@ READABLE = ("0.1.", "0.2.", "0.3.", "0.4.")  # prefixes of the versions whose fi
 
 
 class ResultsFile:
-    """An open results file; use it in a `with` statement, or read within `told`."""
+    """An open results file; use it in a `with` statement, or read within `damage_reported`."""
 
     def __init__(self, path: Path, *, verify: bool = False) -> None:
         """Open `path`; raise `InputError` unless it holds results of this program.
@@ -47,7 +47,7 @@ class ResultsFile:
         check_seal(existing_file(path), verify=verify)
         self._file = _hdf5(path)
         try:
-            with self.told():
+            with self.damage_reported():
                 self._check()
         except BaseException:
             self._file.close()
@@ -75,7 +75,7 @@ class ResultsFile:
         self._file.close()
 
     @contextmanager
-    def told(self) -> Iterator[None]:
+    def damage_reported(self) -> Iterator[None]:
         """Raise `InputError` where the file cannot be read, or an error is due to damage."""
         try:
             yield

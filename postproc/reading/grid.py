@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
+from functools import partial
 from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -86,7 +87,7 @@ def open_results(
     if not (group is None or (isinstance(group, str) and group in GROUPS)):
         raise InputError(f"there is no group {group!r}; there are {', '.join(GROUPS)}")
     path = path_of(file, "file")
-    with ResultsFile(path, verify=verify) as opened, opened.told():
+    with ResultsFile(path, verify=verify) as opened, opened.damage_reported():
         if group is not None and not opened.has(group):
             raise InputError(f"{path}: has no {group}")
         axes, data, attributes = opened.axes(), opened.dataset(), opened.attributes
@@ -112,7 +113,7 @@ def open_results(
 def with_theory(data: xr.Dataset, theory: str | Sequence[str] | bool) -> xr.Dataset:
     """Return results with those of theories beside them, as `open_results`."""
     points, models = Points(data), _names(theory)
-    circuits = points.circuits()
+    circuits = points.circuits
     if theory is True and not points.scatterers:
         models = [one.name for one in defaults(circuits)]
     if not models:
@@ -290,17 +291,17 @@ def _attributes(given: Sequence[dict[str, object]]) -> dict[str, object]:
 
 def group_of(data: xr.Dataset, group: str) -> xr.Dataset:
     """Return a group of the files of a dataset, of the same points and replicas."""
-    found = [open_results(file, group=group) for file in data.attrs["files"]]
-    if len(found) > 1:
-        raise InputError(f"{group}: open the merged files one by one, open_results(group=...)")
-    chosen = {name: data[name].values for name in found[0]["task"].dims if name in data.coords}
-    return found[0].sel(chosen)
+    files = data.attrs.get("files", [])
+    if len(files) != 1:
+        raise InputError(f"{group}: of one results file, open_results(file, group={group!r})")
+    found = open_results(files[0], group=group)
+    chosen = {name: data[name].values for name in found["task"].dims if name in data.coords}
+    return found.sel(chosen)
 
 
+# `data.series` and the others.
 for _group in GROUPS:
-    xr.register_dataset_accessor(_group)(
-        type(_group, (), {"__new__": lambda _, data, group=_group: group_of(data, group)})
-    )
+    xr.register_dataset_accessor(_group)(partial(group_of, group=_group))
 
 
 def _masked(values: xr.DataArray, known: xr.DataArray) -> xr.DataArray:

@@ -140,6 +140,7 @@ class Points:
         self._held: ExitStack | None = None
 
     def _set(self, names: Sequence[str]) -> None:
+        self._values: dict[str, Floats] = {}
         self.number, self.threshold, self.channel1_width, self.channel2_width = (
             self.value(name) for name in ("number", "threshold", "channel1_width", "channel2_width")
         )
@@ -153,7 +154,7 @@ class Points:
     def where(self, chosen: NDArray[np.bool_] | NDArray[np.int_]) -> Points:
         """Return the chosen points; given as places, in that order."""
         part = copy(self)
-        for name in ("done", "asked", "two_states"):
+        for name in ("done", "asked", "two_states", "circuits"):
             part.__dict__.pop(name, None)
         places = np.flatnonzero(chosen) if np.asarray(chosen).dtype == bool else chosen
         part.data = self.data.isel(point=places)
@@ -168,7 +169,7 @@ class Points:
         """Return a key of the scan or a parameter at each point, shape (point,)."""
         return np.asarray(self.keys.get(name, self.value(name) if self.has(name) else ()), float)
 
-    def start2(self, point: int) -> float:
+    def number2_at_start(self, point: int) -> float:
         """Return N2 at the start of a point's runs."""
         return float(self.number[point] - self.value("urn1_number")[point])
 
@@ -182,7 +183,7 @@ class Points:
             chosen = (columns == values).all(axis=1)
             yield dict(zip(keys, values.tolist(), strict=True)), self.where(chosen)
 
-    def only(self, *shown: str) -> None:
+    def need_only(self, *shown: str) -> None:
         """Raise `InputError` if points differ in other parameters than a figure can show."""
         free = {"urn1_number" if name == "start" else name for name in shown}
         columns = {name: self.value(name) for name in PARAMETERS if name in self.data}
@@ -193,7 +194,9 @@ class Points:
                    if name not in free and np.unique(one).size > 1}  # fmt: skip
         if varying:
             name = next(iter(varying))
-            values = np.unique(self.value(name))
+            scanned = FRACTIONS.get(name, name)
+            name = scanned if scanned in self.keys else name
+            values = np.unique(self.column(name))
             told = ", ".join(f"{one:g}" for one in values[:6])
             raise InputError(
                 f"this figure has no place for {' and '.join(varying)} ({name}: {told}): choose, "
@@ -222,10 +225,14 @@ class Points:
         """Return a variable as floats, shape (point,) or (point, replica)."""
         if name not in self.data:
             raise InputError(f"{self.files}: has no {name}")
-        one, shape = self.data[name], (self.data.sizes["point"],)
-        if "point" not in one.dims:
-            return np.broadcast_to(np.asarray(one, float), shape + one.shape)
-        return np.asarray(one.transpose("point", ...), float)
+        if name not in self._values:
+            one = self.data[name]
+            if "point" in one.dims:
+                self._values[name] = np.asarray(one.transpose("point", ...), float)
+            else:
+                shape = (self.data.sizes["point"], *one.shape)
+                self._values[name] = np.broadcast_to(np.asarray(one, float), shape)
+        return self._values[name]
 
     @cached_property
     def done(self) -> NDArray[np.bool_]:
@@ -315,8 +322,18 @@ class Points:
     def any_circuit(self, point: int) -> Circuit:
         """Return the circuit of a point, whose urns and gates may be unequal."""
         self._check_task(point, 0)
-        values = {name: float(self.value(name)[point])
-                  for name in PARAMETERS if self.has(name)}  # fmt: skip
+        return self.circuits[point]
+
+    @cached_property
+    def circuits(self) -> list[Circuit]:
+        """The circuits of all points, whose urns and gates may be unequal."""
+        columns = {name: self.value(name).tolist() for name in PARAMETERS if self.has(name)}
+        rows = (dict(zip(columns, one, strict=True))
+                for one in zip(*columns.values(), strict=True))  # fmt: skip
+        return [self._circuit(one, age) for one, age in zip(rows, self._ages(), strict=True)]
+
+    def _circuit(self, values: dict[str, float], age: float) -> Circuit:
+        """Return a circuit from the parameters of a point."""
         threshold, radius = int(values["threshold"]), values["urn_radius"]
         other, beyond = int(values.get("threshold2", threshold)), values.get("urn_radius2", radius)
         outline, other_outline = self._outlines((radius, beyond))
@@ -334,20 +351,21 @@ class Points:
             scatterers=self.scatterers,
             outline=outline,
             urn2_outline=other_outline if other_outline != outline else None,
-            age=self._age(point),
+            age=age,
         )
 
-    def _age(self, point: int) -> float:
-        """Return the age of a point's runs in the middle of their averages, to two digits.
+    def _ages(self) -> list[float]:
+        """Return the age of each point's runs in the middle of their averages, to two digits.
 
         Where no task is complete, that of the paper's runs.
         """
-        if not (self.has("transient_time") and self.done[point].any()):
-            return PAPERS_AGE
-        ends = [self.value(name)[point][self.done[point]].mean()
-                for name in ("transient_time", "time")]  # fmt: skip
-        age = float(f"{0.5 * sum(ends):.2g}")
-        return age if age >= 0.0 and math.isfinite(age) else PAPERS_AGE
+        if not self.has("transient_time"):
+            return [PAPERS_AGE] * len(self)
+        ends = 0.5 * (self.value("transient_time") + self.value("time"))
+        known = self.done & np.isfinite(ends) & (ends >= 0.0)
+        sums = np.where(known, ends, 0.0).sum(axis=1)
+        return [float(f"{total / count:.2g}") if count else PAPERS_AGE
+                for total, count in zip(sums, known.sum(axis=1), strict=True)]  # fmt: skip
 
     def _outlines(self, radii: tuple[float, float]) -> tuple[Outline | None, Outline | None]:
         """Return the outlines of urns that are polygons, from their radii if they are regular."""
@@ -377,10 +395,6 @@ class Points:
             )
         return replace(found.sides[0], gate=gate)
 
-    def circuits(self) -> list[Circuit]:
-        """Return the circuits of all points."""
-        return [self.any_circuit(point) for point in range(len(self))]
-
     def _read(self, group: str, names: Sequence[str], point: int, replica: int) -> list[Floats]:
         """Return datasets of a group for one task, from its file."""
         self._check_task(point, replica)
@@ -392,7 +406,7 @@ class Points:
                 if not self._held:
                     stack.callback(self._open.clear)
             opened = self._open[path]
-            stack.enter_context(opened.told())
+            stack.enter_context(opened.damage_reported())
             created = opened.attributes.get("created")
             if len(self.attrs["files"]) == 1 and created != self.attrs.get("created"):
                 raise InputError(f"{path}: has changed since it was opened")
@@ -401,12 +415,17 @@ class Points:
             return opened.task(group, names, int(self.data["task"][at]))
 
     @contextmanager
-    def held(self) -> Iterator[None]:
-        """Keep the files open while many tasks are read."""
-        with ExitStack() as self._held:
+    def kept_open(self) -> Iterator[None]:
+        """Keep the files open while many tasks are read; may be nested."""
+        if self._held is not None:
             yield
-        self._held = None
-        self._open.clear()
+            return
+        try:
+            with ExitStack() as self._held:
+                yield
+        finally:
+            self._held = None
+            self._open.clear()
 
     def series(self, point: int, replica: int) -> Series:
         """Return the series of a task, from the first interval on.
@@ -420,6 +439,11 @@ class Points:
             raise InputError(f"{self.files}: the series of point {point + 1} is empty")
         rates = {name: flow[there] for name, flow in zip(FLOWS, flows, strict=True)}
         return Series(time[there], number[there], rates)
+
+    def all_series(self, point: int) -> list[Series]:
+        """Return the series of all complete replicas of a point."""
+        with self.kept_open():
+            return [self.series(point, int(one)) for one in np.flatnonzero(self.done[point])]
 
     def has_group(self, group: str) -> bool:
         """Tell whether the files have series, snapshots, ..."""
@@ -455,6 +479,8 @@ class Points:
         return dict(zip(names, self._read("events", names, 0, 0), strict=True))
 
 
+#: Keys that may be scanned in place of a parameter.
+FRACTIONS = {"threshold": "threshold_fraction", "urn1_number": "urn1_fraction"}
 HINTS = {
     "series": " (set series_interval in &output)",
     "snapshots": " (set snapshot_times in &output)",

@@ -44,7 +44,8 @@ def report(
     names = [theory] if isinstance(theory, str) else theory
     models = default(points) if names is None else asked(points, names)
     page = cli.extra("report", "postproc.reporting.page").page
-    text = page(points, {one.name: one for one in models})
+    with points.kept_open():
+        text = page(points, {one.name: one for one in models})
     points.say_if_partial()
     cli.output_folder(path.parent)
     try:

@@ -115,7 +115,10 @@ def _expected(points: Points, model: Model, point: int) -> tuple[float, float]:
     circuit = points.circuit(point)
     if points.shape != "circuit":
         return math.nan, float(model.urn_current(circuit))
-    if model.refusal(circuit) or (state := model.reached(circuit, points.start2(point))) is None:
+    if (
+        model.refusal(circuit)
+        or (state := model.reached(circuit, points.number2_at_start(point))) is None
+    ):
         return math.nan, math.nan
     return state.mass_spread, state.net_current
 
@@ -238,10 +241,9 @@ def series_of(points: Points) -> tuple[Floats, Columns]:
     tasks = np.argwhere(points.done)
     found = {}
     samples = int(np.clip(ROOM // max(points.done.size, 1), *SAMPLES))
-    with points.held():
-        for point, replica in tasks[: ROOM // samples].tolist():
-            with suppress(InputError):  # none, or shorter than the interval
-                found[point, replica] = points.series(point, replica)
+    for point, replica in tasks[: ROOM // samples].tolist():
+        with suppress(InputError):  # none, or shorter than the interval
+            found[point, replica] = points.series(point, replica)
     if not found:
         return np.empty(0), {}
     time = max((one.time for one in found.values()), key=len)

@@ -80,7 +80,7 @@ def test_a_figure_is_written(
 
 def test_model_names_the_lengths_and_shows_particles_of_a_run(folder: Path) -> None:
     for given, table in ((None, model.EXAMPLE), (points_of(folder / "time.h5"), Circuit(1000, 2))):
-        made = model.figure_model(given)
+        made = model.figure_circuit(given)
         (axes,) = made.axes
         texts = [text.get_text() for text in axes.texts if text.get_text()]
         once = ["$r$", "$w$", "$w'$", "gate 1", "gate 2", "urn 1", "urn 2"]
@@ -92,7 +92,7 @@ def test_model_names_the_lengths_and_shows_particles_of_a_run(folder: Path) -> N
 
 def test_comp05_has_a_panel_a_threshold(folder: Path) -> None:
     files = points_of(folder / "time.h5")
-    made = circuits.figure_comp05(files, QUICK[:1])
+    made = circuits.figure_flows(files, QUICK[:1])
     means = [
         {name: files.series(at, 0).flows[name].mean() for name in currents.FLOW_LOOK}
         for at in range(3)
@@ -124,7 +124,7 @@ def test_an_axis_is_broken_where_nothing_lies_and_all_is_shown() -> None:
 
 def test_comp06_shows_chi_from_one_and_the_stable_states(folder: Path) -> None:
     files = points_of(folder / "time.h5")
-    made = circuits.figure_comp06(files, QUICK)
+    made = circuits.figure_relaxation(files, QUICK)
     pairs = [(at, one) for at in range(3) for one in QUICK]
     states = [one.reached(files.circuit(at), 0.0) for at, one in pairs]
     series = [files.series(1, replica) for replica in (0, 1)]
@@ -151,7 +151,7 @@ def test_comp06_shows_chi_from_one_and_the_stable_states(folder: Path) -> None:
 
 def test_currents_of_a_homogeneous_state_scatter_about_zero(folder: Path) -> None:
     files = points_of(folder / "time.h5")
-    made = circuits.figure_comp06(files, QUICK[:1])
+    made = circuits.figure_relaxation(files, QUICK[:1])
     current = made.axes[1]
     full = [line for line in current.lines
             if line.get_color() == style.BLACK and len(line.get_xdata()) > 2]  # fmt: skip
@@ -167,7 +167,7 @@ def test_currents_of_a_homogeneous_state_scatter_about_zero(folder: Path) -> Non
 def test_comp01_has_the_measured_currents_against_threshold_and_chi(folder: Path) -> None:
     mixed = models.named(["window", "renewal"])
     files = points_of(folder / "slices.h5")
-    made = circuits.figure_comp01(files, mixed)
+    made = circuits.figure_curves(files, mixed)
     gathered = files
     left, right = made.axes
     assert left.get_xlabel() == "$T/N$"
@@ -194,7 +194,7 @@ def test_comp01_has_the_measured_currents_against_threshold_and_chi(folder: Path
 def test_numris_shows_each_point_and_the_transition_lines(folder: Path) -> None:
     mixed = models.named(["window", "renewal"])
     files = points_of(folder / "homogeneous.h5", folder / "polarised.h5")
-    made = maps.figure_numris(files, mixed)
+    made = maps.figure_phase_diagram(files, mixed)
     parts = [part for _, part in maps.by_start(files)]
     lines = maps.transition_lines(parts[0], files.circuit(0), mixed)
     panels, bars = made.axes[:6], made.axes[6:]
@@ -226,13 +226,17 @@ def test_numris_shows_each_point_and_the_transition_lines(folder: Path) -> None:
 
 def test_unless_told_otherwise_memory_is_drawn_beside_the_papers_theory(folder: Path) -> None:
     files = points_of(folder / "point.h5")
-    slices = circuits.figure_comp01(files)
+    slices = circuits.figure_curves(files)
     labels = [f"theory, {MODELS[name].label}" for name in ("window", "direction")]
     assert labels_of(slices)[1:] == labels
 
 
 def test_appendix_shows_measured_currents_beside_theory(folder: Path) -> None:
-    drawings = (appendix.figure_app2, appendix.figure_app3, appendix.figure_app4)
+    drawings = (
+        appendix.figure_urn_current,
+        appendix.figure_urn_difference,
+        appendix.figure_urn_scaled,
+    )
     files = points_of(folder / "urn.h5")
     by_number, relative, together = (draw(files) for draw in drawings)
     gathered = files
@@ -328,7 +332,7 @@ def test_each_start_has_its_maps_and_title(tmp_path: Path) -> None:
     scan = {"threshold": [2, 7], "urn1_fraction": [0.5, 0.6, 1.0], "replicas": 1}
     path = results_of(tmp_path / "starts.h5", scan=scan, run={"duration": 20.0}, output=BARE)
     files = points_of(path)
-    made = maps.figure_numris(files, models.named(["window"]))
+    made = maps.figure_phase_diagram(files, models.named(["window"]))
     titles = [axes.get_title("left") for axes in made.axes]
     assert titles[:6:2] == [rf"$\chi(0) = {chi}$" for chi in ("0", "0.2", "1")]
 
@@ -344,7 +348,7 @@ def test_map_has_each_value_in_its_cell(folder: Path) -> None:
 @pytest.mark.usefixtures("unwritten")
 def test_theories_are_drawn_by_name(folder: Path, tmp_path: Path) -> None:
     files = points_of(folder / "point.h5")
-    made = circuits.figure_comp01(files, models.named(["renewal"]))
+    made = circuits.figure_curves(files, models.named(["renewal"]))
     assert labels_of(made)[-1:] == ["theory, renewal gate"]
     arguments = [str(folder / "point.h5"), "--output", str(tmp_path)]
     assert call("plot", ["comp01", *arguments, "--theory", "window", "renewal"]) == 0
@@ -353,7 +357,7 @@ def test_theories_are_drawn_by_name(folder: Path, tmp_path: Path) -> None:
 
 @pytest.mark.usefixtures("unwritten")
 def test_single_urn_is_drawn_with_its_end_wall(tmp_path: Path) -> None:
-    (axes,) = model.figure_app1().axes
+    (axes,) = model.figure_urn().axes
     texts = [text.get_text() for text in axes.texts if text.get_text()]
     assert sorted(texts) == ["$\\ell/2$", "$r$", "$w$", "end wall", "gate 1", "urn 1"]
     assert (axes.collections[0].get_offsets()[:, 0] < 0.0).all()

@@ -19,15 +19,15 @@ if TYPE_CHECKING:
 MIXED = named(["window", "renewal"])
 SHORT = {"duration": 100.0}
 DRAWN = {
-    "comp05": (circuits.figure_comp05, "circuit", MIXED),
-    "comp06": (circuits.figure_comp06, "circuit", MIXED),
-    "comp01": (circuits.figure_comp01, "circuit", MIXED),
+    "comp05": (circuits.figure_flows, "circuit", MIXED),
+    "comp06": (circuits.figure_relaxation, "circuit", MIXED),
+    "comp01": (circuits.figure_curves, "circuit", MIXED),
     "characteristic": (circuits.figure_characteristic, "one_key", MIXED),
-    "numris": (maps.figure_numris, "circuit", MIXED),
+    "numris": (maps.figure_phase_diagram, "circuit", MIXED),
     "lifetimes": (passages.figure_lifetimes, "circuit", MIXED),
-    "app2": (appendix.figure_app2, "urn", MIXED),
-    "app3": (appendix.figure_app3, "urn", MIXED),
-    "app4": (appendix.figure_app4, "urn", MIXED),
+    "app2": (appendix.figure_urn_current, "urn", MIXED),
+    "app3": (appendix.figure_urn_difference, "urn", MIXED),
+    "app4": (appendix.figure_urn_scaled, "urn", MIXED),
     "one_channel": (one_channel.figure_one_channel, "plane", one_channel.PAIR),
 }
 NARROWEST = {

@@ -57,7 +57,7 @@ def test_pictures_are_written(command: str, run_file: Path, tmp_path: Path) -> N
 
 def test_currents_show_the_series_the_theory_and_eta(run_file: Path) -> None:
     results = points_of(run_file)
-    made = circuits.figure_comp05(results, models.named(["window", "renewal"]), (0, 1))
+    made = circuits.figure_flows(results, models.named(["window", "renewal"]), (0, 1))
     series, circuit = results.series(0, 1), results.circuit(0)
     *panels, balance = made.axes
     assert panels[0].get_title("left") == "$N = 1000$, $T = 7$, $w = 0.3$, $w' = 0.01$"
@@ -96,7 +96,7 @@ def test_currents_show_the_series_the_theory_and_eta(run_file: Path) -> None:
 
 def test_theory_has_the_colour_of_what_it_is_meant_for(run_file: Path) -> None:
     results = points_of(run_file)
-    made = circuits.figure_comp05(results, models.named(["window"]), (0, 1))
+    made = circuits.figure_flows(results, models.named(["window"]), (0, 1))
     circuit, series = results.circuit(0), results.series(0, 1)
     second = models.MODELS["window"].nearest_stable(
         circuit, currents.settled_number2(circuit, series)

@@ -64,7 +64,15 @@ def test_a_figure_is_drawn_into_axes_of_ones_own(
     axes.figure.draw_without_rendering()
 
 
-def test_points_that_a_figure_cannot_show_are_named_with_a_way_to_choose(folder: Path) -> None:
+def test_points_that_a_figure_cannot_show_are_named_with_a_way_to_choose(
+    folder: Path, tmp_path: Path
+) -> None:
+    """The way works, also where a fraction was scanned."""
+    scan = {"threshold_fraction": [0.01, 0.02], "urn1_fraction": [0.5, 1.0], "threshold": None}
+    starts = postproc.open_results(results_of(tmp_path / "starts.h5", scan=scan, **SMALL))
+    with pytest.raises(InputError, match=r"data.sel\(urn1_fraction=0.5\)"):
+        plot.curves(starts, ax=Figure().add_subplot())
+    assert plot.curves(starts.sel(urn1_fraction=0.5), ax=Figure().add_subplot())
     data = postproc.open_results(folder / "map.h5")
     for draw in (plot.flows, plot.scene):
         with pytest.raises(InputError, match=r"data.sel\(threshold=2\)"):

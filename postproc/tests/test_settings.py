@@ -48,8 +48,8 @@ def pictures(file: Path, folder: Path) -> dict[str, bytes]:
     window = models.named(["window"])
     points = Points(open_results(file))
     made = {
-        "map": maps.figure_numris(points, window),
-        "flows": circuits.figure_comp05(points, window, (0, 0)),
+        "map": maps.figure_phase_diagram(points, window),
+        "flows": circuits.figure_flows(points, window, (0, 0)),
         "scene": scene.figure_scene(points, (0, 0)),
     }
     film.write(film.read_scenes(points, 0, 0), 0.2, folder / "film.gif")
@@ -83,5 +83,5 @@ def test_a_command_draws_alike_whatever_backend_and_matplotlibrc_say(tmp_path: P
     command = [sys.executable, "-m", "postproc", "plot", "model", "--output", str(tmp_path)]
     ended = subprocess.run(command, env=environment, text=True, capture_output=True, check=False)
     assert (ended.returncode, ended.stderr) == (0, "")
-    for path in style.save(model.figure_model(), tmp_path / "here", "model"):
+    for path in style.save(model.figure_circuit(), tmp_path / "here", "model"):
         assert (tmp_path / path.name).read_bytes() == path.read_bytes(), path.name

@@ -225,8 +225,11 @@ int battery_write_file(const char *path, const char *bytes, size_t length) {
 int battery_write_at(int descriptor, const char *bytes, size_t length, int64_t at) {
   while (length > 0) {
     ssize_t written = pwrite(descriptor, bytes, length, at);
-    if (written < 0 && errno != EINTR) return errno;
-    if (written <= 0) continue;
+    if (written == 0) return EIO;
+    if (written < 0) {
+      if (errno != EINTR) return errno;
+      continue;
+    }
     bytes += written;
     length -= (size_t)written;
     at += written;
