@@ -145,14 +145,18 @@ def draw_relaxation(
     axes: Axes, points: Points, models: Sequence[Model], quantity: str, end: float = np.inf
 ) -> list[Line2D]:
     """Draw a quantity of each point against time up to `end`; return the lines of the means."""
-    label, values_of, steps, field = QUANTITIES[quantity]
+    if quantity not in QUANTITIES:
+        raise InputError(
+            f"against time there is no {quantity!r}; there are {', '.join(QUANTITIES)}"
+        )
+    label, quantity_of, steps, field = QUANTITIES[quantity]
     lines = []
     for at, colour in zip(range(len(points)), TIME_COLOURS, strict=False):
         means = []
         for series in points.all_series(at):
             early = series.time <= end
             middle, mean, _ = binned(
-                series.time[early], values_of(series, points.number[at])[early], steps
+                series.time[early], quantity_of(series, points.number[at])[early], steps
             )
             means.append(mean)
         shortest = min(map(len, means))

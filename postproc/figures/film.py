@@ -319,7 +319,7 @@ def film(
         There are fewer than two snapshots, the film cannot be written, or imageio-ffmpeg, which an
         MP4 needs, is not installed.
     """
-    if not 0.0 < seconds <= 3600.0:
+    if not (isinstance(seconds, (int, float)) and 0.0 < seconds <= 3600.0):
         raise cli.InputError(f"seconds = {seconds} must lie above 0 and up to 3600")
     points = Points(dataset_of(results, verify=verify))
     scenes = read_scenes(points, *points.task(point, replica))

@@ -158,6 +158,8 @@ def draw_lines(axes: Axes, lines: Sequence[Line], marks: Floats) -> None:
 
 def values_of(points: Points, name: str) -> tuple[Floats, str, dict[str, object]]:
     """Return means over replicas of a variable, a label, and the look of their map."""
+    if name not in LOOKS and not (points.has(name) and "replica" in points.data[name].dims):
+        raise cli.InputError(f"there is no variable {name!r} of runs to draw, such as chi")
     about = points.data[name].attrs if points.has(name) else {}
     label, look = LOOKS.get(name, (about.get("long_name", name), {}))
     return points.mean(name)[0], label, dict(look)

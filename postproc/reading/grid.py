@@ -188,12 +188,12 @@ def merge(parts: Iterable[str | Path | xr.Dataset]) -> xr.Dataset:
     InputError
         The tables differ in more than lengths: polygons, discs in channel 2, a single urn.
     """
+    if isinstance(parts, (str, Path, xr.Dataset)):
+        parts = [parts]
     given = [dataset_of(one) for one in parts]
     if not given:
         raise InputError("merge: no results are given")
-    for name in TABLE:
-        if len(found := {str(one.attrs.get(name, "")) for one in given}) > 1:
-            raise InputError(f"merge: {name} differs: {', '.join(sorted(found))}")
+    _need_one_table(given)
     table, keys = _tasks(given)
     axes = _independent(table[keys])
     if table[keys].drop_duplicates().shape[0] != math.prod(table[name].nunique() for name in axes):
@@ -215,6 +215,13 @@ def merge(parts: Iterable[str | Path | xr.Dataset]) -> xr.Dataset:
     data.attrs |= {"files": [file for one in given for file in one.attrs["files"]],
                    "tasks": f"{complete} of {asked} tasks are complete"}  # fmt: skip
     return data
+
+
+def _need_one_table(given: Sequence[xr.Dataset]) -> None:
+    """Raise `InputError` if tables differ in more than the parameters of points."""
+    for name in TABLE:
+        if len(found := {str(one.attrs.get(name, "")) for one in given}) > 1:
+            raise InputError(f"merge: {name} differs: {', '.join(sorted(found))}")
 
 
 def _tasks(given: Sequence[xr.Dataset]) -> tuple[pd.DataFrame, list[str]]:
@@ -243,7 +250,7 @@ def dataset_of(
     """Return a dataset of one results file, of several, or the dataset that is given."""
     if isinstance(results, xr.Dataset):
         return results
-    if isinstance(results, (str, Path)):
+    if isinstance(results, (str, Path)) or not isinstance(results, Iterable):
         return open_results(results, verify=verify)
     found = [open_results(str(one), verify=verify) for one in results]
     return found[0] if len(found) == 1 else merge(found)

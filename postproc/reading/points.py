@@ -104,7 +104,9 @@ def flat(data: xr.Dataset) -> xr.Dataset:
     if not (isinstance(data, xr.Dataset) and {"task", "number"} <= set(data.variables)):
         raise InputError("data: must be a dataset that postproc.open_results or merge returns")
     if "replica" not in data.dims:  # one that was chosen
-        tasks = [name for name in data if not (name in (*PARAMETERS, "point_status") or
+        by_point = {name for name in data if set(data[name].dims) <= set(data["task"].dims)
+                    and name in (*PARAMETERS, "point_status")}  # fmt: skip
+        tasks = [name for name in data if not (name in by_point or
                  str(name).startswith("theory_") or str(name).endswith("_spread"))]  # fmt: skip
         data = data.assign({name: data[name].expand_dims("replica", axis=-1) for name in tasks})
     axes = [name for name in data["task"].dims if name != "replica"]

@@ -38,7 +38,7 @@ def residences(series: xr.Dataset, *, low: float = 0.2, high: float = 0.7) -> pd
     Examples
     --------
     >>> import xarray as xr
-    >>> n1 = xr.DataArray([[50.0, 95.0, 90.0, 52.0, 5.0]], dims=("replica", "time"))
+    >>> n1 = xr.DataArray([[50.0, 95.0, 75.0, 52.0, 5.0]], dims=("replica", "time"))
     >>> times = {"time": [1.0, 2.0, 3.0, 4.0, 5.0]}
     >>> series = xr.Dataset({"urn1_number": n1, "number": 100, "task": ("replica", [0])}, times)
     >>> residences(series)[["state", "start", "duration"]].to_numpy().tolist()

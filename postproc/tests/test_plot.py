@@ -79,6 +79,9 @@ def test_points_that_a_figure_cannot_show_are_named_with_a_way_to_choose(
             draw(data, ax=Figure().add_subplot())
     with pytest.raises(InputError, match="no theory 'widow'"):
         plot.curves(data, ax=Figure().add_subplot(), theory="widow")
+    for draw in (plot.phase_diagram, plot.curves, plot.relaxation):
+        with pytest.raises(InputError, match=r"no (variable )?'widow'"):
+            draw(data.sel(channel2_width=0.01), ax=Figure().add_subplot(), variable="widow")
 
 
 def test_voltage_of_a_battery_whose_full_urn_returns_all_is_that_of_the_widths() -> None:
@@ -129,7 +132,9 @@ def test_series_come_with_a_part_of_the_dataset(folder: Path) -> None:
     data = postproc.open_results(folder / "map.h5").sel(threshold=4)
     series = data.series
     assert series["urn1_number"].dims == ("channel2_width", "replica", "time")
+    one = postproc.residences(data.isel(replica=1).series)
     stays = postproc.residences(series)
+    assert one["duration"].tolist() == stays[stays["replica"] == 1]["duration"].tolist()
     assert stays.groupby(["channel2_width", "replica"]).ngroups == 4
     ends = stays.groupby(["channel2_width", "replica"]).agg({"start": "min", "duration": "sum"})
     assert (ends["start"] + ends["duration"]).unique().tolist() == [100.0]
