@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from postproc.figures import circuits, currents, maps, models, passages
+from postproc.figures import circuits, currents, maps, passages, theories
 from postproc.figures import scene as scenes
 from postproc.reading.points import Points
 
@@ -144,4 +144,4 @@ def _axes(ax: Axes | None) -> Axes:
 
 def _theories(points: Points, theory: str | Sequence[str]) -> tuple[Model, ...]:
     """Return theories by their names; raise `InputError` if one does not apply."""
-    return models.asked(points, [theory] if isinstance(theory, str) else theory)
+    return theories.asked(points, [theory] if isinstance(theory, str) else theory)

@@ -35,11 +35,11 @@ from postproc.figures.circuits import (
     figure_flows,
     figure_relaxation,
 )
-from postproc.figures.model import figure_circuit, figure_urn
-from postproc.figures.models import add_models, asked
+from postproc.figures.lengths import figure_circuit, figure_urn
 from postproc.figures.one_channel import figure_one_channel
 from postproc.figures.passages import figure_lifetimes
 from postproc.figures.scene import figure_scene
+from postproc.figures.theories import add_models, asked
 from postproc.reading.grid import dataset_of, selected
 from postproc.reading.points import Points
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from postproc import cli
-from postproc.figures.models import add_models
+from postproc.figures.theories import add_models
 from postproc.reporting import report
 
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from postproc.figures import style
-from postproc.figures.models import default
+from postproc.figures.theories import default
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

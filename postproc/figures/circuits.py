@@ -18,7 +18,7 @@ from postproc.figures.currents import (
     settled_number2,
 )
 from postproc.figures.maps import STARTS, SYMBOLS, THRESHOLDS, equals, values_of
-from postproc.figures.models import default, spread_and_current
+from postproc.figures.theories import default, spread_and_current
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

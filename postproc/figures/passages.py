@@ -19,7 +19,7 @@ from scipy import stats
 
 from postproc.cli import InputError
 from postproc.figures import style
-from postproc.figures.models import default
+from postproc.figures.theories import default
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -15,8 +15,8 @@ import pandas as pd
 import xarray as xr
 
 from postproc.cli import InputError, path_of
-from postproc.reading.file import ResultsFile
 from postproc.reading.points import COMPLETE, NOT_ASKED, PARAMETERS, Points, flat, mean_error
+from postproc.reading.results_file import ResultsFile
 from postproc.theory.models import MODELS, defaults, named
 
 if TYPE_CHECKING:

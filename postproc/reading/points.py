@@ -15,7 +15,7 @@ import numpy as np
 import xarray as xr
 
 from postproc.cli import InputError
-from postproc.reading.file import ResultsFile
+from postproc.reading.results_file import ResultsFile
 from postproc.theory.circuit import PAPERS_AGE, Circuit
 from postproc.theory.gates import WINDOW
 from postproc.theory.outlines import outline_of, regular

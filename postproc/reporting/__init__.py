@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from postproc import cli
-from postproc.figures.models import asked, default
+from postproc.figures.theories import asked, default
 from postproc.reading.grid import dataset_of
 from postproc.reading.points import Points
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from postproc.figures import appendix, circuits, currents, maps, model, models, style
+from postproc.figures import appendix, circuits, currents, lengths, maps, style, theories
 from postproc.tests.commands import call
 from postproc.tests.runs import BARE, edited, leave_out, points_of, results_of
 from postproc.theory.circuit import Circuit, single_urn_current
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
     Floats = NDArray[np.float64]
 
-QUICK = models.named(["window", "renewal"])
+QUICK = theories.named(["window", "renewal"])
 
 
 @pytest.fixture(scope="module")
@@ -79,13 +79,16 @@ def test_a_figure_is_written(
 
 
 def test_model_names_the_lengths_and_shows_particles_of_a_run(folder: Path) -> None:
-    for given, table in ((None, model.EXAMPLE), (points_of(folder / "time.h5"), Circuit(1000, 2))):
-        made = model.figure_circuit(given)
+    for given, table in (
+        (None, lengths.EXAMPLE),
+        (points_of(folder / "time.h5"), Circuit(1000, 2)),
+    ):
+        made = lengths.figure_circuit(given)
         (axes,) = made.axes
         texts = [text.get_text() for text in axes.texts if text.get_text()]
         once = ["$r$", "$w$", "$w'$", "gate 1", "gate 2", "urn 1", "urn 2"]
         assert sorted(texts) == sorted([*once, *2 * [r"$\ell/2$"], *2 * [r"$\ell'/2$"]])
-        assert axes.collections[0].get_offsets().shape == (model.SHOWN, 2)
+        assert axes.collections[0].get_offsets().shape == (lengths.SHOWN, 2)
         walls = np.concatenate([line.get_xdata() for line in axes.lines])
         assert np.abs(walls).max() == pytest.approx(float(table.end))
 
@@ -165,7 +168,7 @@ def test_currents_of_a_homogeneous_state_scatter_about_zero(folder: Path) -> Non
 
 
 def test_comp01_has_the_measured_currents_against_threshold_and_chi(folder: Path) -> None:
-    mixed = models.named(["window", "renewal"])
+    mixed = theories.named(["window", "renewal"])
     files = points_of(folder / "slices.h5")
     made = circuits.figure_curves(files, mixed)
     gathered = files
@@ -174,8 +177,8 @@ def test_comp01_has_the_measured_currents_against_threshold_and_chi(folder: Path
     assert left.get_ylabel() == "polarised current (per unit time)"
     assert right.get_xlabel() == r"mass spread $\chi$"
     assert right.get_xlim() == (0.0, 1.0)
-    theories = [f"theory, {one.label}" for one in mixed]
-    assert labels_of(made) == ["$w' = 0.0102$", "$w' = 0.0306$", *theories]
+    told = [f"theory, {one.label}" for one in mixed]
+    assert labels_of(made) == ["$w' = 0.0102$", "$w' = 0.0306$", *told]
     for at, width in enumerate((0.0102, 0.0306)):
         group = gathered.where(gathered.channel2_width == width)
         assert marks_of(left)[at] == pytest.approx(
@@ -184,7 +187,7 @@ def test_comp01_has_the_measured_currents_against_threshold_and_chi(folder: Path
         assert marks_of(right)[at] == pytest.approx(np.array([group.chi, group.current]))
         for one in mixed:
             circuit = replace(Circuit(1000, 4), channel2_width=width)
-            spread, current = models.spread_and_current(one, circuit, range(4, 19))
+            spread, current = theories.spread_and_current(one, circuit, range(4, 19))
             assert np.isfinite(current).sum() > 5
             drawn = lines_of(left, one.dashes)[at], lines_of(right, one.dashes)[at]
             expected = (np.arange(4, 19) / 1000.0, current), (spread, current)
@@ -192,7 +195,7 @@ def test_comp01_has_the_measured_currents_against_threshold_and_chi(folder: Path
 
 
 def test_numris_shows_each_point_and_the_transition_lines(folder: Path) -> None:
-    mixed = models.named(["window", "renewal"])
+    mixed = theories.named(["window", "renewal"])
     files = points_of(folder / "homogeneous.h5", folder / "polarised.h5")
     made = maps.figure_phase_diagram(files, mixed)
     parts = [part for _, part in maps.by_start(files)]
@@ -332,7 +335,7 @@ def test_each_start_has_its_maps_and_title(tmp_path: Path) -> None:
     scan = {"threshold": [2, 7], "urn1_fraction": [0.5, 0.6, 1.0], "replicas": 1}
     path = results_of(tmp_path / "starts.h5", scan=scan, run={"duration": 20.0}, output=BARE)
     files = points_of(path)
-    made = maps.figure_phase_diagram(files, models.named(["window"]))
+    made = maps.figure_phase_diagram(files, theories.named(["window"]))
     titles = [axes.get_title("left") for axes in made.axes]
     assert titles[:6:2] == [rf"$\chi(0) = {chi}$" for chi in ("0", "0.2", "1")]
 
@@ -348,7 +351,7 @@ def test_map_has_each_value_in_its_cell(folder: Path) -> None:
 @pytest.mark.usefixtures("unwritten")
 def test_theories_are_drawn_by_name(folder: Path, tmp_path: Path) -> None:
     files = points_of(folder / "point.h5")
-    made = circuits.figure_curves(files, models.named(["renewal"]))
+    made = circuits.figure_curves(files, theories.named(["renewal"]))
     assert labels_of(made)[-1:] == ["theory, renewal gate"]
     arguments = [str(folder / "point.h5"), "--output", str(tmp_path)]
     assert call("plot", ["comp01", *arguments, "--theory", "window", "renewal"]) == 0
@@ -357,7 +360,7 @@ def test_theories_are_drawn_by_name(folder: Path, tmp_path: Path) -> None:
 
 @pytest.mark.usefixtures("unwritten")
 def test_single_urn_is_drawn_with_its_end_wall(tmp_path: Path) -> None:
-    (axes,) = model.figure_urn().axes
+    (axes,) = lengths.figure_urn().axes
     texts = [text.get_text() for text in axes.texts if text.get_text()]
     assert sorted(texts) == ["$\\ell/2$", "$r$", "$w$", "end wall", "gate 1", "urn 1"]
     assert (axes.collections[0].get_offsets()[:, 0] < 0.0).all()

@@ -14,7 +14,7 @@ from selenium import webdriver
 
 from postproc import open_results
 from postproc.cli import EXIT_BAD_INPUT, InputError
-from postproc.reading import file as reading
+from postproc.reading import results_file
 from postproc.reporting import page as report_page
 from postproc.tests.commands import call
 from postproc.tests.runs import edited, results_of
@@ -126,7 +126,7 @@ def test_what_is_read_together_fits_into_memory(
                 del file[name]
         columns = file[group or "/"].values()
         sizes = [one.nbytes for one in columns if isinstance(one, h5py.Dataset)]
-    monkeypatch.setattr(reading, "memory_left", lambda: max(sizes))
+    monkeypatch.setattr(results_file, "memory_left", lambda: max(sizes))
     needs = re.escape(f"{theirs.name}: needs {sum(sizes):.3g} bytes of memory")
     with pytest.raises(InputError, match=needs):
         open_results(theirs, group=group)

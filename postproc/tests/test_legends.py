@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from postproc.figures import appendix, circuits, maps, one_channel, passages
-from postproc.figures.models import named
+from postproc.figures.theories import named
 from postproc.reading.grid import open_results
 from postproc.reading.points import Points
 from postproc.tests.looks import assert_looks_apart

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from postproc.advice import advice
-from postproc.figures.models import add_models
+from postproc.figures.theories import add_models
 from postproc.tests.commands import call
 from postproc.theory.circuit import Circuit
 from postproc.theory.model import Model

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from postproc.cli import InputError
-from postproc.figures import models, one_channel
+from postproc.figures import one_channel, theories
 from postproc.figures.one_channel import Plane
 from postproc.tests.commands import call
 from postproc.tests.runs import BARE, points_of, results_of
@@ -88,7 +88,7 @@ def test_the_published_line_is_where_the_formula_says(keys: tuple[str, str]) -> 
 @pytest.mark.parametrize("number", [1000, 10000])
 def test_at_the_zero_of_its_slope_the_homogeneous_state_changes(name: str, number: int) -> None:
     """Stable below, unstable beyond, at several T, and whatever length makes the load."""
-    model, thresholds = models.MODELS[name], np.array([4.0, 10.0, 22.0]) * number / 1000
+    model, thresholds = theories.MODELS[name], np.array([4.0, 10.0, 22.0]) * number / 1000
     found = one_channel.slope_load(replace(BASE, number=number), thresholds, model)
     for threshold, load in zip(thresholds, found, strict=True):
         one = replace(BASE, number=number, threshold=int(threshold), urn_radius=1.2)
@@ -102,7 +102,7 @@ def test_at_the_zero_of_its_slope_the_homogeneous_state_changes(name: str, numbe
 
 def test_of_the_start_the_fuller_urn_sends_more_below_and_less_beyond() -> None:
     """Where J(N1) = J(N2), by the flows themselves."""
-    model, thresholds = models.MODELS["renewal"], np.array([4.0, 10.0, 22.0])
+    model, thresholds = theories.MODELS["renewal"], np.array([4.0, 10.0, 22.0])
     for threshold, load in zip(
         thresholds, one_channel.start_load(BASE, thresholds, model, 0.5), strict=True
     ):

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from postproc.figures import passages
-from postproc.figures.models import named
+from postproc.figures.theories import named
 from postproc.tests.runs import FORGETFUL, points_of, results_of
 from postproc.theory.models import MODELS
 

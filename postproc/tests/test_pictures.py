@@ -17,7 +17,7 @@ import xarray as xr
 from matplotlib.patches import Circle
 
 from postproc.cli import InputError
-from postproc.figures import circuits, currents, film, models, scene, style
+from postproc.figures import circuits, currents, film, scene, style, theories
 from postproc.figures.scene import picture_of
 from postproc.reading.points import Snapshot, mean_error
 from postproc.tests.commands import call
@@ -57,7 +57,7 @@ def test_pictures_are_written(command: str, run_file: Path, tmp_path: Path) -> N
 
 def test_currents_show_the_series_the_theory_and_eta(run_file: Path) -> None:
     results = points_of(run_file)
-    made = circuits.figure_flows(results, models.named(["window", "renewal"]), (0, 1))
+    made = circuits.figure_flows(results, theories.named(["window", "renewal"]), (0, 1))
     series, circuit = results.series(0, 1), results.circuit(0)
     *panels, balance = made.axes
     assert panels[0].get_title("left") == "$N = 1000$, $T = 7$, $w = 0.3$, $w' = 0.01$"
@@ -96,9 +96,9 @@ def test_currents_show_the_series_the_theory_and_eta(run_file: Path) -> None:
 
 def test_theory_has_the_colour_of_what_it_is_meant_for(run_file: Path) -> None:
     results = points_of(run_file)
-    made = circuits.figure_flows(results, models.named(["window"]), (0, 1))
+    made = circuits.figure_flows(results, theories.named(["window"]), (0, 1))
     circuit, series = results.circuit(0), results.series(0, 1)
-    second = models.MODELS["window"].nearest_stable(
+    second = theories.MODELS["window"].nearest_stable(
         circuit, currents.settled_number2(circuit, series)
     )
     colours = {
@@ -389,7 +389,7 @@ def test_binning_keeps_the_mean() -> None:
 
 def test_nearest_stable_state_follows_the_side() -> None:
     circuit = Circuit(1000, 7)
-    paper = models.MODELS["window"]
+    paper = theories.MODELS["window"]
     assert paper.nearest_stable(circuit, 940.0) == pytest.approx(968.73, abs=0.01)
     assert paper.nearest_stable(circuit, 60.0) == pytest.approx(31.27, abs=0.01)
     assert paper.nearest_stable(Circuit(1000, 18), 900.0) == 500.0

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import matplotlib as mpl
 import pytest
 
-from postproc.figures import circuits, film, maps, model, models, scene, style
+from postproc.figures import circuits, film, lengths, maps, scene, style, theories
 from postproc.reading.grid import open_results
 from postproc.reading.points import Points
 from postproc.reporting import page
@@ -45,7 +45,7 @@ def file(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def pictures(file: Path, folder: Path) -> dict[str, bytes]:
     """Return the contents of pictures of each kind."""
-    window = models.named(["window"])
+    window = theories.named(["window"])
     points = Points(open_results(file))
     made = {
         "map": maps.figure_phase_diagram(points, window),
@@ -83,5 +83,5 @@ def test_a_command_draws_alike_whatever_backend_and_matplotlibrc_say(tmp_path: P
     command = [sys.executable, "-m", "postproc", "plot", "model", "--output", str(tmp_path)]
     ended = subprocess.run(command, env=environment, text=True, capture_output=True, check=False)
     assert (ended.returncode, ended.stderr) == (0, "")
-    for path in style.save(model.figure_circuit(), tmp_path / "here", "model"):
+    for path in style.save(lengths.figure_circuit(), tmp_path / "here", "model"):
         assert (tmp_path / path.name).read_bytes() == path.read_bytes(), path.name

@@ -7,13 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from postproc.figures import models
+from postproc.figures import theories
 from postproc.theory.circuit import Circuit, homogeneous_kind, transition_width
 
 
 @pytest.mark.parametrize("name", ["window", "renewal"])
 def test_drawn_transition_line_is_where_stability_changes(name: str) -> None:
-    model = models.MODELS[name]
+    model = theories.MODELS[name]
     thresholds, widths = model.transition_line(Circuit(1000, 7), 6, 8)
     width = float(widths[thresholds == 7.0][0])
     below, above = (Circuit(1000, 7, channel2_width=width * factor) for factor in (0.999, 1.001))
@@ -23,7 +23,7 @@ def test_drawn_transition_line_is_where_stability_changes(name: str) -> None:
 
 @pytest.mark.parametrize("name", ["window", "renewal"])
 def test_transition_line_goes_through_whole_thresholds_and_ends_on_the_axis(name: str) -> None:
-    model, circuit = models.MODELS[name], Circuit(1000, 7)
+    model, circuit = theories.MODELS[name], Circuit(1000, 7)
     thresholds, widths = model.transition_line(circuit, 1, 25)
     for one in (4.0, 9.0, 15.0):
         exact = transition_width(replace(model.of(circuit), threshold=int(one)))
@@ -39,7 +39,7 @@ def test_transition_line_goes_through_whole_thresholds_and_ends_on_the_axis(name
 @pytest.mark.full
 def test_the_line_of_urns_that_remember_is_where_stability_changes() -> None:
     """It is interpolated between a dozen w'; memory moves it down."""
-    model, circuit = models.MODELS["direction"], Circuit(1000, 7)
+    model, circuit = theories.MODELS["direction"], Circuit(1000, 7)
     _, (width,) = model.transition_line(circuit, 7, 7)
     assert 0.054 < width < 0.066  # runs: between 0.055 and 0.066; the renewal gate: 0.084
     for factor, kind in ((0.97, "unstable"), (1.03, "stable")):
@@ -50,7 +50,7 @@ def test_the_line_of_urns_that_remember_is_where_stability_changes() -> None:
 def test_a_line_that_remembers_comes_down_to_small_thresholds() -> None:
     """It asks more often where w' is small: the homogeneous state lasts from 0.0016 and 0.0126."""
     line = dict(
-        zip(*models.MODELS["direction"].transition_line(Circuit(1000, 7), 2, 4), strict=True)
+        zip(*theories.MODELS["direction"].transition_line(Circuit(1000, 7), 2, 4), strict=True)
     )
     assert line[2.0] < 0.002
     assert 0.010 < line[4.0] < 0.014
@@ -58,7 +58,7 @@ def test_a_line_that_remembers_comes_down_to_small_thresholds() -> None:
 
 def test_memory_says_what_the_channels_carry() -> None:
     """Flows of T = 7 as the program measures them; of equal urns the same both ways."""
-    model = models.MODELS["direction"]
+    model = theories.MODELS["direction"]
     found = model.levels(Circuit(1000, 7), 960.0)
     assert found["net"] == pytest.approx(1.0191, rel=0.01)
     assert found["flow1_12"] - found["flow1_21"] == pytest.approx(found["net"], rel=0.02)
