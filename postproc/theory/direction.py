@@ -16,9 +16,8 @@ Legendre polynomials, orthonormal over 0 ... 1, as are F, H and B; the first is 
 D is half the mean square of the change of the angle, which is the sum of the positions y and y' of
 entry and exit on their arcs. If these were independent it would be (w/r)^2/12. But for narrow
 openings a visit from y back to y' has passed the opening before. With the lattice of `returns`,
-without a second opening, e = |y' - y| and mu = |y + y'| in units of the opening's arc have the
-density
-(12/pi^2) ln((1 + mu + e)/(1 + mu - e))/e on e + mu < 1, so that
+without a second opening, xi = |y' - y| and mu = |y + y'| in units of the opening's arc have the
+density (12/pi^2) ln((1 + mu + xi)/(1 + mu - xi))/xi on xi + mu < 1, so that
 
     D = (w/r)^2 <mu^2>/2 = (1/6 - 1/pi^2) (w/r)^2.
 
@@ -132,7 +131,7 @@ def transfer(radius: float, width1: float, width2: float) -> Transfer:
 def _narrow_transfer(radius: float, width1: float, width2: float) -> Transfer:
     """Return the transfer by narrow openings: probabilities, stays, and a diffusion for each way.
 
-    In this limit the number of chords, and the positions of entry and exit, do not depend on the
+    In this limit the number of segments, and the positions of entry and exit, do not depend on the
     incidence.
     """
     widths = (width1, width2)

@@ -14,9 +14,9 @@ the time t after an emptying would be Poisson, with the mean m(t) = e times the 
 probability to be still inside; the rate at which entries find T inside is u(t) = e P(number = T),
 and
 
-    u(t) = f(t) + integral of f(t') u(t | t') dt',
+    u(t) = g(t) + integral of g(t') u(t | t') dt',
 
-f(t) the density of the first such entry, u(t | t') the rate after one at t'. As a closure the T
+g(t) the density of the first such entry, u(t | t') the rate after one at t'. As a closure the T
 particles that it finds are taken as any T that have entered since the emptying, each independently:
 exact for T = 1. The error of this is small, and smaller still for its use, the *difference* between
 the given distribution of stays and the cosine law; for the latter <q> is that of `renewal`.

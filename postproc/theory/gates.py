@@ -1,7 +1,7 @@
 """Share of entries that gets through a gate: the paper's window, and the interface of gates.
 
-A gate sees Poisson entries at rate nu, each inside for (l/2)/cos(theta) (speed 1, cosine law), on
-average tau = pi l/4. Its *load* x = nu tau = n w l/(4A) is the paper's lambda, eq. (eqapp3), the
+A gate sees Poisson entries at rate e, each inside for (l/2)/cos(theta) (speed 1, cosine law), on
+average tau = pi l/4. Its *load* x = e tau = n w l/(4A) is the paper's lambda, eq. (eqapp3), the
 mean number inside without reversals. A gate model gives the share of the entries that gets through
 at a load, and the slope of load times share, which determines stability.
 

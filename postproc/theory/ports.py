@@ -91,8 +91,8 @@ def mean_stay(radius: float, own: float, other: float) -> float:
 def stays(radius: float, found: Pieces, own: float, other: float) -> Floats:
     """Return the times of visits through openings of widths `own` and `other`, from chord to chord.
 
-    n chords of 2 r cos(psi) minus the ends between arc and chord of either opening; at the nodes of
-    the pieces, shape (2, piece).
+    n segments of 2 r cos(psi) minus the ends between arc and chord of either opening; at the nodes
+    of the pieces, shape (2, piece).
     """
     place, _ = found.nodes()
     chord = {width: math.sqrt(radius**2 - 0.25 * width**2) for width in (own, other)}
@@ -100,4 +100,4 @@ def stays(radius: float, found: Pieces, own: float, other: float) -> Floats:
     behind = np.where(found.same, chord[own], chord[other])
     ends = (radius * np.cos(place) - chord[own]) / np.cos(place - found.incidence)
     ends += (radius * np.cos(leaving) - behind) / np.cos(leaving + found.incidence)
-    return 2.0 * radius * found.chords * np.cos(found.incidence) - ends
+    return 2.0 * radius * found.segments * np.cos(found.incidence) - ends

@@ -1,18 +1,18 @@
 """The renewal gate: the exact rule of the gate under Poisson entries, instead of a window.
 
-A gate with Poisson entries at rate nu is a queue with unlimited servers: each entrant is inside for
+A gate with Poisson entries at rate e is a queue with unlimited servers: each entrant is inside for
 (l/2)/cos(theta), theta from the cosine law, on average tau = pi l/4, and an entry that finds T
 inside empties it. With C the mean time between emptyings the share of the entries that gets through
-is exactly 1 - (T+1)/(nu C).
+is exactly 1 - (T+1)/(e C).
 
-For exponential times inside, nu C would be the sum of 1/B(n, x) over n = 0 ... T, B Erlang's loss
-formula at load x = nu tau (a birth-death chain). The correction for the true times is a smooth
+For exponential times inside, e C would be the sum of 1/B(n, x) over n = 0 ... T, B Erlang's loss
+formula at load x = e tau (a birth-death chain). The correction for the true times is a smooth
 function of load and threshold up to T = 100, a polynomial in `renewal_fit.json` for the difference
 of the logits of the shares. The study of the renewal gate makes it from deterministic solutions of
 moment equations; the file has their differences from each other and from simulations.
 
-In the limit of large T the number inside is deterministic: nu times the integral of the probability
-to be still inside. It reaches T at the time t, and the share is 1 - T/(nu t).
+In the limit of large T the number inside is deterministic: e times the integral of the probability
+to be still inside. It reaches T at the time t, and the share is 1 - T/(e t).
 Above T = 100 logits are interpolated, at equal coordinates along the transition, in powers of
 1/sqrt(T) between that limit and thresholds up to 100: errors are up to 2e-3 at T = 200, 7e-3 at T =
 400.
@@ -73,7 +73,7 @@ def coordinates(threshold: ArrayLike, load: ArrayLike) -> tuple[Floats, Floats]:
 def exponential_share(threshold: ArrayLike, load: ArrayLike) -> tuple[Floats, Floats]:
     """Return (share through, share reversed) for exponential times inside, in closed form.
 
-    With u_n = 1/B(n, x) from u_n = 1 + (n/x) u_(n-1), nu C is their sum; the share through is also
+    With u_n = 1/B(n, x) from u_n = 1 + (n/x) u_(n-1), e C is their sum; the share through is also
     a sum, sum(u_n - 1), so that a small share is accurate.
     """
     count, x = np.broadcast_arrays(np.asarray(threshold, float), np.asarray(load, float))
@@ -125,7 +125,7 @@ def _range_of_one(threshold: float) -> tuple[Floats, Floats]:
 def share_of_one(load: Floats) -> Floats:
     """Return the exact share for T = 1, with p the probability of no entry during a stay.
 
-    From an entry into an empty gate nu C - 1 = 1 + p (nu C - 1), so the share is p/(2 - p).
+    From an entry into an empty gate e C - 1 = 1 + p (e C - 1), so the share is p/(2 - p).
     """
     nodes, weights = np.polynomial.legendre.leggauss(200)
     angle = 0.25 * np.pi * (nodes + 1.0)

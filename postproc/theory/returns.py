@@ -1,30 +1,30 @@
 """The probability to leave through the opening of entry, as a sum over polygons.
 
 Let alpha be the half angle of the narrower opening of a disc and beta >= alpha that of the other,
-opposite. A visit that enters at y and returns after n chords of the angle delta leaves at y' = y +
-epsilon, epsilon = n delta - 2 pi k: it is nearly a polygon of n corners that winds k times. It does
-return if it has not left before. There are three conditions.
+opposite. A visit that enters at y and returns after n segments of the angle delta leaves at
+y' = y + epsilon, epsilon = n delta - 2 pi k: it is nearly a polygon of n corners that winds k
+times. It does return if it has not left before. There are three conditions.
 
 1. n and k have no common factor, else a shorter polygon has returned.
 2. n is odd, else corner n/2 is at (y + y')/2 from the middle of the other opening, within it.
 3. Then the corners nearest to that middle are two, one on either side: at pi/n + y + epsilon x/n
-   after x = m chords and at -pi/n + y + epsilon x/n after x = n - m, with 2 k m = 1 mod n. They
+   after x = m segments and at -pi/n + y + epsilon x/n after x = n - m, with 2 k m = 1 mod n. They
    miss the other opening if
 
-       |y + y'| < 2 (pi/n - beta) + tau epsilon,        tau = 2 m/n - 1,
+       |y + y'| < 2 (pi/n - beta) + h epsilon,        h = 2 m/n - 1,
 
    and then so do all other corners, and none of them is in the opening of entry.
 
-So with e = |epsilon| and mu = |y + y'|, 0 <= mu <= 2 alpha - e, and the measure of entries,
+So with xi = |epsilon| and mu = |y + y'|, 0 <= mu <= 2 alpha - xi, and the measure of entries,
 
-    a = r/(4 w) sum over odd n of 1/n sum over k of the integral over e and mu of
-        sin(pi k/n + e/2n) [mu < g + tau e] + sin(pi k/n - e/2n) [mu < g - tau e],
+    a = r/(4 w) sum over odd n of 1/n sum over k of the integral over xi and mu of
+        sin(pi k/n + xi/2n) [mu < g + h xi] + sin(pi k/n - xi/2n) [mu < g - h xi],
 
 g = 2 pi/n - 2 beta, w the width of the narrower opening. This is exact for any widths. n = 1 is no
 return: such a line meets the arc of the opening and never its chord. The sum ends at n = pi/(beta -
 alpha); for openings of one width terms fall as 1/n^3.
 
-For narrow openings n is large where it matters, tau is then even in (-1, 1), the sum over k becomes
+For narrow openings n is large where it matters, h is then even in (-1, 1), the sum over k becomes
 (2/pi) phi(n), phi Euler's, and that over odd n an integral with the density 4/pi^2 of phi(n)/n. In
 this limit a is a function of rho, the ratio of the widths, alone (`limit`).
 """
@@ -45,13 +45,13 @@ if TYPE_CHECKING:
     Floats = NDArray[np.float64]
     Integers = NDArray[np.int64]
 
-ORDER = 1000  # corners up to which every polygon is computed; beyond, tau is taken as uniform
+ORDER = 1000  # corners up to which every polygon is computed; beyond, h is taken as uniform
 COUNTED = 2**16  # corners up to which odd n are summed one by one; beyond, the sum is an integral
-PLACES = 1600  # in log n, at which the mean over tau is computed
+PLACES = 1600  # in log n, at which the mean over h is computed
 TOGETHER = 8192  # polygons at a time, few enough for the fast memory of a processor
 ODD_PRIMITIVE = 4.0 / math.pi**2  # mean of phi(n)/n over odd n, times their density 1/2
 GAUSS = np.polynomial.legendre.leggauss(4)
-EVEN_TAU = np.polynomial.legendre.leggauss(32)
+EVEN_H = np.polynomial.legendre.leggauss(32)
 
 
 def limit(ratio: float) -> float:
@@ -94,29 +94,29 @@ def return_chance(radius: float, own: float, other: float, order: int = ORDER) -
 
 def _polygons(alpha: float, beta: float, order: int) -> float:
     """Return the sum over odd n from 3 to `order`."""
-    corners, tau, angle = _primitive(max(order, 2).bit_length())
+    corners, h, angle = _primitive(max(order, 2).bit_length())
     last, total = int(np.searchsorted(corners, order, side="right")), 0.0
     for start in range(0, last, TOGETHER):
         part = slice(start, min(start + TOGETHER, last))
         for sign in (1.0, -1.0):
-            found = _integral(alpha, beta, corners[part], sign * tau[part], angle[part], sign)
+            found = _integral(alpha, beta, corners[part], sign * h[part], angle[part], sign)
             total += 2.0 * float((found / corners[part]).sum())
     return total
 
 
 @lru_cache(maxsize=16)
 def _primitive(bits: int) -> tuple[Floats, Floats, Floats]:
-    """Return n, tau and pi k/n of the polygons of less than 2^bits corners, by increasing n.
+    """Return n, h and pi k/n of the polygons of less than 2^bits corners, by increasing n.
 
-    For k below n/2: k and n - k give the same, with the signs of epsilon and tau exchanged.
+    For k below n/2: k and n - k give the same, with the signs of epsilon and h exchanged.
     """
     n = np.arange(3, 2**bits, 2)
     corners = np.repeat(n, n // 2)
     winds = np.arange(corners.size) - np.repeat(np.cumsum(n // 2) - n // 2, n // 2) + 1
     own = np.gcd(winds, corners) == 1
     corners, winds = corners[own], winds[own]
-    tau = 2.0 * _inverse(2 * winds, corners) / corners - 1.0
-    return corners.astype(float), tau, math.pi * winds / corners
+    h = 2.0 * _inverse(2 * winds, corners) / corners - 1.0
+    return corners.astype(float), h, math.pi * winds / corners
 
 
 def _inverse(number: Integers, modulus: Integers) -> Integers:
@@ -132,44 +132,44 @@ def _inverse(number: Integers, modulus: Integers) -> Integers:
 
 
 def _integral(
-    alpha: float, beta: float, n: Floats, tau: Floats, angle: Floats | None = None, sign: float = 1
+    alpha: float, beta: float, n: Floats, h: Floats, angle: Floats | None = None, sign: float = 1
 ) -> Floats:
-    """Return the integral over e and mu of sin(angle + sign e/2n), or of 1, where mu < g + tau e.
+    """Return the integral over xi and mu of sin(angle + sign xi/2n), or of 1, where mu < g + h xi.
 
-    The upper limit of mu is the lesser of 2 alpha - e and g + tau e, lines that cross at e =
+    The upper limit of mu is the lesser of 2 alpha - xi and g + h xi, lines that cross at xi =
     `bend`.
     """
     width, gap = 2.0 * alpha, 2.0 * math.pi / n - 2.0 * beta
     with np.errstate(divide="ignore", invalid="ignore"):
-        bend = np.clip((width - gap) / (1.0 + tau), 0.0, width)
-        zero = np.clip(np.where(tau == 0.0, 0.0, -gap / tau), 0.0, bend)
+        bend = np.clip((width - gap) / (1.0 + h), 0.0, width)
+        zero = np.clip(np.where(h == 0.0, 0.0, -gap / h), 0.0, bend)
     shape = np.shape(bend)
     ends = (np.zeros(shape), zero, bend, np.full(shape, width))
     total = np.zeros(shape)
     for low, high in pairwise(ends):
         middle, half = 0.5 * (low + high), 0.5 * (high - low)
         # linear in between, of one sign: without an angle the middle has its mean
-        height = np.maximum(np.minimum(width - middle, gap + tau * middle), 0.0)
+        height = np.maximum(np.minimum(width - middle, gap + h * middle), 0.0)
         if angle is None:
             total += 2.0 * half * height
             continue
         some = np.flatnonzero((half > 0.0) & (height > 0.0))
-        e = middle[some] + half[some] * GAUSS[0][:, None]
-        height = np.maximum(np.minimum(width - e, gap[some] + tau[some] * e), 0.0)
-        height *= np.sin(angle[some] + sign * e / (2.0 * n[some]))
+        xi = middle[some] + half[some] * GAUSS[0][:, None]
+        height = np.maximum(np.minimum(width - xi, gap[some] + h[some] * xi), 0.0)
+        height *= np.sin(angle[some] + sign * xi / (2.0 * n[some]))
         total[some] += half[some] * (GAUSS[1] @ height)
     return total
 
 
 def _many_corners(alpha: float, beta: float, order: int, last: float) -> float:
-    """Return the sum over odd n from `order` to `last`, tau being even in (-1, 1)."""
+    """Return the sum over odd n from `order` to `last`, h being even in (-1, 1)."""
     if order >= last:
         return 0.0
     width, reach = 2.0 * alpha, 1e4 * math.pi / beta
     places = np.geomspace(order, min(last, max(reach, 2.0 * COUNTED)), PLACES)
-    tau, weight = EVEN_TAU
-    # two signs of epsilon, mean over tau
-    means = 2.0 * (_integral(alpha, beta, places[:, None], tau) @ (0.5 * weight)) / width**2
+    h, weight = EVEN_H
+    # two signs of epsilon, mean over h
+    means = 2.0 * (_integral(alpha, beta, places[:, None], h) @ (0.5 * weight)) / width**2
     n = np.arange(1, int(min(COUNTED, last)) + 1)
     odd = (n % 2 == 1) & (n > order)
     first = (2.0 / math.pi) * (_totients(n.size)[odd] / n[odd])

@@ -1,12 +1,12 @@
 """Lifetimes of states if directions relax no faster than N2 changes: a chain in two variables.
 
 Directions relax in some hundred units of time, and N2 may reach a barrier in the same time. So they
-lag behind: M is the N2 to which they have relaxed, and dM/dt = (N2 - M)/tau. The rate at which an
+lag behind: M is the N2 to which they have relaxed, and dM/dt = (N2 - M)/tau_r. The rate at which an
 urn sends particles out relaxes within a visit, and follows N2; their distribution of directions
 follows M: F_i(s; M) e_i(N2)/e_i(M). Gates are those for these entries. For N2 = M these are the
 rates of `direction.outflows`, and if gates do not depend on directions they are so for any M.
 
-tau: a deviation of the directions in one urn, and its negative in the other, is multiplied by K11
+tau_r: a deviation of the directions in one urn, and its negative in the other, is multiplied by K11
 (1 - 2 q) in each visit, in the circuit of equal halves; a visit and the stay in the gate after it
 take about n_i/e_i. So its slowest component decays in n_i/e_i/(1 - kappa), kappa the largest
 eigenvalue, without the component that changes numbers.
@@ -49,7 +49,7 @@ class Settling:
     places2 : N2 at which rates are computed, increasing.
     settled2 : M at which they are computed.
     sent : logarithms of the flows between the halves, shape (N2, M, half).
-    time : tau, in units of length/v.
+    time : tau_r, in units of length/v.
     """
 
     number: int
@@ -134,7 +134,7 @@ def _sent(equations: Directions, held: Held, settled: Held) -> float:
 
 
 def _time(equations: Directions, even: Held) -> float:
-    """Return tau of a circuit held with equal halves."""
+    """Return tau_r of a circuit held with equal halves."""
     basis, share = equations.basis, 1.0 - 2.0 * even.passing.mean(axis=0)
     gate = (basis * (equations.weights * share)) @ basis.T
     visit = (equations.urns[0].kernel[0, 0].T @ gate)[1:, 1:]

@@ -8,7 +8,7 @@ its gate at load e_i pi l/4, j the other urn, and the ports of `ports`:
 
 If the urns are stationary channel 2 carries J = f_2 - f_1 and channel 1 as much, b_1 = e_1 - J
 and b_2 = e_2 + J; all are linear in b_1, b_2. For equal urns P12 (e_2 - e_1) = (1 + a - 2 P12) J
-and J = G (n_2 - n_1) with G = k/(t1 + k (2 t1 - t2)), k = P12/(1 + a - 2 P12), P12 = (w'/w)(1 - a).
+and J = G (n_2 - n_1) with G = c/(t1 + c (2 t1 - t2)), c = P12/(1 + a - 2 P12), P12 = (w'/w)(1 - a).
 So every ratio b_1/b_2 is a stationary pair of urns, and a state of the circuit if the gates carry J
 as well. Well mixed urns give the flows of eqs. (eqapp5) and (eq007), and G = w'/(pi A).
 """
@@ -270,8 +270,8 @@ def circulating_at(circuit: Circuit, number2: float, ages: ArrayLike) -> Floats:
 def conductance(circuit: Circuit, memory: Memory = ports.disc) -> float:
     """Return G of equal urns: the net current is G times the difference of the urns' numbers."""
     one = memory(circuit)
-    k = one.across / (1.0 + one.return_chance - 2.0 * one.across)
-    return k / (one.stay1 + k * (2.0 * one.stay1 - one.stay2))
+    c = one.across / (1.0 + one.return_chance - 2.0 * one.across)
+    return c / (one.stay1 + c * (2.0 * one.stay1 - one.stay2))
 
 
 def transition_width(circuit: Circuit, start: float) -> float:

@@ -2,24 +2,24 @@
 
 A visit that enters through an opening meets the circle, traced back, at an angle y within that
 opening's arc, |y| < asin(w/2r), measured from its middle. Every wall hit then adds the same angle
-delta, the chord's, whose angle of incidence psi = (pi - delta)/2 is conserved. Entries by the
+delta, the segment's, whose angle of incidence psi = (pi - delta)/2 is conserved. Entries by the
 cosine law fill (delta, y) with the density r sin(delta/2)/2 (lines: r cos(psi) dpsi dy). Lines that
 meet the arc of an opening at both ends never cross its chord: they are not visits and are left out.
-At a given delta the whole arc of starts rotates rigidly: after n chords it is shifted by n delta,
+At a given delta the whole arc of starts rotates rigidly: after n segments it is shifted by n delta,
 and the part that then overlaps an opening leaves. So the visits of one delta are a few *pieces*,
 intervals of y that leave together; over delta they change smoothly between values at which ends of
 arcs meet, which are known beforehand. With two Gauss nodes between these, sums over pieces are
 accurate to 3e-4, and to 1e-4 if an opening is at least 0.3 r wide.
 
 The next shift that overlaps an opening is found by Euclid's algorithm, not step by step: visits of
-a million chords cost as much as those of ten.
+a million segments cost as much as those of ten.
 
 The number of cells grows as the square of r over the wider opening. If that is below `NARROW` of r,
 both openings are enlarged by the same factor such that it is `NARROW`; positions are scaled back,
-and the number of chords is increased by this factor. In the limit of narrow openings that is exact:
-the positions y + n delta mod 2 pi, in units of the opening, are heights of a lattice with a point
-for each n, and over delta all such lattices become equally likely, whatever the incidence. The
-error of mean stays is less than 0.4 %. (The return probability needs none of this: `returns`.)
+and the number of segments is increased by this factor. In the limit of narrow openings that is
+exact: the positions y + n delta mod 2 pi, in units of the opening, are heights of a lattice with a
+point for each n, and over delta all such lattices become equally likely, whatever the incidence.
+The error of mean stays is less than 0.4 %. (The return probability needs none of this: `returns`.)
 """
 
 from __future__ import annotations
@@ -42,11 +42,11 @@ if TYPE_CHECKING:
 TURN = 2.0 * math.pi
 TOUCH = 1e-13  # arcs that overlap by less do not touch
 NARROW = 0.05  # of r: narrower openings are scaled up
-LEAST_ORDER = 24  # least number of chords up to which ends of arcs are distinguished
+LEAST_ORDER = 24  # least number of segments up to which ends of arcs are distinguished
 NEAREST = 1e-6  # distance from a rational part of a turn at which the grid towards it ends
 RUNGS = 12  # points of that grid
-EVEN = 8000  # additional cells of equal width, for visits of more chords
-LONGEST = 1e7  # chords; longer visits are left out
+EVEN = 8000  # additional cells of equal width, for visits of more segments
+LONGEST = 1e7  # segments; longer visits are left out
 AT_ONCE = 16384  # cases of `first_multiple` at a time
 TOGETHER = 4096  # pieces at a time, few enough for the fast memory of a processor
 
@@ -61,7 +61,7 @@ class Pieces:
     incidence : psi, between 0 and pi/2; the mirror images with -psi are in the weights.
     low, high : interval of y of the piece at entry.
     shift : y at exit, from the middle of the opening of exit, minus y at entry.
-    chords : number of chords; for narrow openings, on average.
+    segments : number of segments; for narrow openings, on average.
     same : whether it leaves through the opening of entry.
     """
 
@@ -70,7 +70,7 @@ class Pieces:
     low: Floats
     high: Floats
     shift: Floats
-    chords: Floats
+    segments: Floats
     same: Flags
 
     @property
@@ -136,9 +136,9 @@ def _next(delta: Floats, angle: Floats, low: Floats, high: Floats) -> Floats:
 def _nodes(own: float, other: float) -> tuple[Floats, Floats]:
     """Return nodes and weights over delta = 0 ... pi, by two a cell.
 
-    `own` and `other` are the openings' half angles. Cells end where, after n <= `order` chords, an
-    end of the arc of starts meets an end of an opening, and on a grid towards each rational part of
-    a turn, near which visits are long.
+    `own` and `other` are the openings' half angles. Cells end where, after n <= `order` segments,
+    an end of the arc of starts meets an end of an opening, and on a grid towards each rational part
+    of a turn, near which visits are long.
     """
     longest = TURN / max(own, other)
     order = max(int(longest) + 8, LEAST_ORDER)
@@ -146,7 +146,7 @@ def _nodes(own: float, other: float) -> tuple[Floats, Floats]:
     count = n // 2 + 1
     n = np.repeat(n, count)
     k = np.arange(n.size) - np.repeat(np.cumsum(count) - count, count)
-    lowest = np.gcd(k, n) == 1  # else fewer chords do the same
+    lowest = np.gcd(k, n) == 1  # else fewer segments do the same
     part, corners = TURN * k[lowest] / n[lowest], n[lowest]
     ends = [part + gap / corners for gap in (-2.0 * own, 0.0, 2.0 * own)]
     lowest = np.gcd(2 * k + 1, n) == 1
@@ -178,7 +178,7 @@ def visits(radius: float, own_width: float, other_width: float) -> Pieces:
         return found
     return Pieces(
         scale * found.weight, found.incidence, found.low / scale, found.high / scale,
-        found.shift / scale, found.chords * scale, found.same,
+        found.shift / scale, found.segments * scale, found.same,
     )  # fmt: skip
 
 
@@ -189,37 +189,38 @@ def unit_disc(own_width: float, other_width: float) -> Pieces:
     delta, weight = _nodes(own, other)
     weight = weight * np.sin(0.5 * delta)
     node, low, high = np.arange(delta.size), np.full(delta.size, -own), np.full(delta.size, own)
-    chords = np.ones(delta.size)
+    segments = np.ones(delta.size)
     rows = []
     while node.size:
         step = delta[node]
         turns = [
-            chords + _next(step, chords * step - centre, -half - high + TOUCH, half - low - TOUCH)
+            segments
+            + _next(step, segments * step - centre, -half - high + TOUCH, half - low - TOUCH)
             for centre, half in ((0.0, own), (math.pi, other))
         ]
-        same, chords = turns[0] <= turns[1], np.minimum(*turns)
-        soon = chords < LONGEST
-        node, low, high, chords, same = (x[soon] for x in (node, low, high, chords, same))
+        same, segments = turns[0] <= turns[1], np.minimum(*turns)
+        soon = segments < LONGEST
+        node, low, high, segments, same = (x[soon] for x in (node, low, high, segments, same))
         half = np.where(same, own, other)
-        shift = np.mod(chords * delta[node] - np.where(same, 0.0, math.pi) + math.pi, TURN)
+        shift = np.mod(segments * delta[node] - np.where(same, 0.0, math.pi) + math.pi, TURN)
         shift -= math.pi
         first = np.clip(-half - shift, low, high)  # it may be outside by rounding
         last = np.clip(half - shift, first, high)
-        rows.append((node, first, last, shift, chords, same))
-        chords = np.where(last > first, chords, chords + 1.0)
+        rows.append((node, first, last, shift, segments, same))
+        segments = np.where(last > first, segments, segments + 1.0)
         left, right = first - low > TOUCH, high - last > TOUCH
         low, high = (
             np.concatenate([one[left], other_end[right]])
             for one, other_end in ((low, last), (first, high))
         )
-        node, chords = (np.concatenate([x[left], x[right]]) for x in (node, chords))
-    node, low, high, shift, chords, same = (np.concatenate(x) for x in zip(*rows, strict=True))
-    # a chord that ends on the arc where it begins has not crossed the opening
-    there = (high > low) & ~(same & (chords == 1))
-    node, low, high, shift, chords, same = (
-        x[there] for x in (node, low, high, shift, chords, same)
+        node, segments = (np.concatenate([x[left], x[right]]) for x in (node, segments))
+    node, low, high, shift, segments, same = (np.concatenate(x) for x in zip(*rows, strict=True))
+    # a segment that ends on the arc where it begins has not crossed the opening
+    there = (high > low) & ~(same & (segments == 1))
+    node, low, high, shift, segments, same = (
+        x[there] for x in (node, low, high, shift, segments, same)
     )
     weight = weight[node]
     weight = weight / np.sum(weight * (high - low))
     incidence = 0.5 * (math.pi - delta[node])
-    return Pieces(weight, incidence, low, high, shift, chords, same)
+    return Pieces(weight, incidence, low, high, shift, segments, same)
