@@ -66,7 +66,8 @@ def open_results(
         for polygons beside the exact gate ("renewal"); none if there are discs in channel 2, which
         no theory has.
     group : what to read in place of the averages: "series", "snapshots", "final" or "events". A
-        dataset has them as `data.series`, ... as well.
+        dataset has them as `data.series`, ... as well; of a part of it (`data.sel(threshold=7)`)
+        only that part is read.
     verify : whether to read the whole file and check its digest, which detects any damage.
 
     Returns
@@ -86,28 +87,53 @@ def open_results(
     models = _names(theory)
     if not (group is None or (isinstance(group, str) and group in GROUPS)):
         raise InputError(f"there is no group {group!r}; there are {', '.join(GROUPS)}")
-    path = path_of(file, "file")
+    data = _read(path_of(file, "file"), group, {}, verify=verify)
+    return with_theory(data, theory) if group is None and (models or theory is True) else data
+
+
+def _read(
+    path: Path, group: str | None, chosen: dict[str, NDArray[np.generic]], *, verify: bool
+) -> xr.Dataset:
+    """Return the averages of a file or a group of it, of the chosen values of keys and replicas."""
     with ResultsFile(path, verify=verify) as opened, opened.damage_reported():
         if group is not None and not opened.has(group):
             raise InputError(f"{path}: has no {group}")
-        axes, data, attributes = opened.axes(), opened.dataset(), opened.attributes
-        inner = opened.dataset(group) if group is not None else None
+        axes, attributes, (points, replicas) = opened.axes(), opened.attributes, opened.shape
+        places: dict[str, Sequence[int]] = {
+            "replica": _places(np.arange(replicas), chosen.get("replica"))
+        }
+        if axes is not None:
+            at = {key: _places(values, chosen.get(key)) for key, (values, _) in axes.items()}
+            grid = np.arange(points).reshape([len(values) for values, _ in axes.values()])
+            places["point"] = np.ravel(grid[np.ix_(*at.values())]).tolist()
+            axes = {key: (values[at[key]], about) for key, (values, about) in axes.items()}
+        part = places if chosen else {}
+        data = opened.dataset(None, part)
+        inner = opened.dataset(group, part) if group is not None else None
         if "task_status" not in data:  # of before version 0.2.0
             data["task_status"] = xr.where(np.isfinite(data["current1"]), COMPLETE, 2)
         known = data["task_status"] == COMPLETE
         asked = int((data["task_status"] != NOT_ASKED).sum())
         data = _with_sides(data, attributes)
         if inner is not None:
-            points = data[[name for name in PARAMETERS if name in data and name not in inner]]
-            data = inner.assign_coords(replica=known["replica"]).assign(points.variables)
+            shared = data[[name for name in PARAMETERS if name in data and name not in inner]]
+            data = inner.assign_coords(replica=known["replica"]).assign(shared.variables)
         data = data.map(lambda one: _masked(one, known), keep_attrs=True)
-        place = np.arange(known.size).reshape(known.shape)
+        rows = np.asarray(places.get("point", range(points)))
+        tasks = np.add.outer(replicas * rows, places["replica"])
         about = {"long_name": "place of the task in its file, from 0"}
-        data["task"] = xr.Variable(("point", "replica"), place, about)
+        data["task"] = xr.Variable(("point", "replica"), tasks, about)
         data = _on_grid(data, axes)
     data.attrs = {**attributes, "files": [str(path.absolute())],
                   "tasks": f"{int(known.sum())} of {asked} tasks are complete"}  # fmt: skip
-    return with_theory(data, theory) if group is None and (models or theory is True) else data
+    return data
+
+
+def _places(values: NDArray[np.generic], chosen: NDArray[np.generic] | None) -> Sequence[int]:
+    """Return the places of the chosen ones among values; of all if none are given."""
+    if chosen is None:
+        return range(len(values))
+    return np.flatnonzero(np.isin(values, chosen)).tolist()
 
 
 def with_theory(data: xr.Dataset, theory: str | Sequence[str] | bool) -> xr.Dataset:
@@ -301,9 +327,10 @@ def group_of(data: xr.Dataset, group: str) -> xr.Dataset:
     files = data.attrs.get("files", [])
     if len(files) != 1:
         raise InputError(f"{group}: of one results file, open_results(file, group={group!r})")
-    found = open_results(files[0], group=group)
-    chosen = {name: data[name].values for name in found["task"].dims if name in data.coords}
-    return found.sel(chosen)
+    chosen = {str(name): one.values for name, one in data.coords.items()}
+    found = _read(Path(files[0]), group, chosen, verify=False)
+    chosen = {name: one for name, one in chosen.items() if name in found["task"].dims}
+    return found.sel(chosen).assign_attrs(tasks=data.attrs["tasks"])
 
 
 # `data.series` and the others.
@@ -352,7 +379,8 @@ def _on_grid(data: xr.Dataset, axes: Axes | None) -> xr.Dataset:
             grid = xr.Variable(
                 [*axes, *rest], columns.reshape(shape + list(columns.shape[1:])), values.attrs
             )
-        variables[name] = _without_idle(grid, axes) if name in PARAMETERS else grid
+        of_point = name in PARAMETERS and "replica" not in values.dims
+        variables[name] = _without_idle(grid, axes) if of_point else grid
     for key, (places, about) in axes.items():
         variables[key] = xr.Variable(key, places, data[key].attrs if key in data else about)
     found = xr.Dataset(variables)

@@ -23,7 +23,7 @@ from postproc.cli import InputError, existing_file
 from postproc.reading.seal import check_seal
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
+    from collections.abc import Iterable, Iterator, Mapping, Sequence
 
     from numpy.typing import NDArray
 
@@ -103,18 +103,23 @@ class ResultsFile:
         return {name: np.ravel(value).tolist() if np.size(value) > 1 else text_of(value)
                 for name, value in self._file.attrs.items()}  # fmt: skip
 
-    def dataset(self, group: str | None = None) -> xr.Dataset:
-        """Return the datasets of the root or of a group, with the names of their dimensions."""
-        inside = "" if group is None else f"{group}/"
-        read = {}
+    def dataset(self, group: str | None, places: Mapping[str, Sequence[int]]) -> xr.Dataset:
+        """Return the datasets of the root or of a group, with the names of their dimensions.
+
+        Only the given places of a dimension are read: `point` and `replica`, increasing.
+        """
+        inside, read = "" if group is None else f"{group}/", {}
         for name in self._file if group is None else self._found(group) or ():
             one = self._found(inside + name)
             if isinstance(one, h5py.Dataset) and name != "event" and _dimensions(one) is not None:
                 read[name] = one
-        self._need_memory(read.values())
-        variables = {}
-        for name, one in read.items():
-            variables[name] = (_dimensions(one), one[()], _meaning(one))
+        parts = {name: [places.get(axis, range(size)) for axis, size in
+                        zip(_dimensions(one) or (), one.shape, strict=True)]
+                 for name, one in read.items()}  # fmt: skip
+        self._need_memory(sum(math.prod(map(len, parts[name])) * one.dtype.itemsize
+                              for name, one in read.items()))  # fmt: skip
+        variables = {name: (_dimensions(one), _read(one, parts[name]), _meaning(one))
+                     for name, one in read.items()}  # fmt: skip
         return xr.decode_cf(xr.Dataset(variables), decode_times=False)
 
     def has(self, name: str) -> bool:
@@ -142,20 +147,25 @@ class ResultsFile:
             raise InputError(f"{self.path}: has no {name}")
         return found
 
-    def _need_memory(self, datasets: Iterable[h5py.Dataset]) -> None:
-        """Raise `InputError` if datasets that are read together do not fit into memory."""
-        needed = sum(one.nbytes for one in datasets)
+    def _need_memory(self, needed: int) -> None:
+        """Raise `InputError` if bytes that are read together do not fit into memory."""
         if needed > (left := memory_left()):
             here = f"bytes of memory, there are {left:.3g}"
             raise InputError(f"{self.path}: needs {needed:.3g} {here}")
 
     def task(self, group: str, names: Iterable[str], task: int) -> list[NDArray[np.float64]]:
         """Return datasets of a group as floats: of one task, by its place, if they are of tasks."""
-        replicas = self._dataset("current1").shape[1]
+        replicas = self.shape[1]
         found = [self._dataset(f"{group}/{name}") for name in names]
-        self._need_memory(one for one in found if one.ndim == 1)
+        self._need_memory(sum(one.nbytes for one in found if one.ndim == 1))
         return [np.array(one[()] if one.ndim == 1 else one[divmod(task, replicas)], float)
                 for one in found]  # fmt: skip
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Number of points, and of replicas of each."""
+        points, replicas = self._dataset("current1").shape
+        return points, replicas
 
     def axes(self) -> dict[str, tuple[NDArray[np.generic], dict[str, object]]] | None:
         """Return the values of each key that was scanned, the slowest first, and their attributes.
@@ -190,6 +200,19 @@ def _hdf5(path: Path) -> h5py.File:
             if problem.errno == errno.EAGAIN:
                 reason = "is open in another program, which may change it; close it there"
             raise InputError(f"{path}: {reason}") from problem
+
+
+def _read(dataset: h5py.Dataset, places: Sequence[Sequence[int]]) -> NDArray[np.generic]:
+    """Return the places of a dataset that are given for each dimension, increasing."""
+    spans = tuple(slice(int(one[0]), int(one[-1]) + 1) if len(one) else slice(0) for one in places)
+    if all(one.stop - one.start == len(part) for one, part in zip(spans, places, strict=True)
+           if len(part)):  # fmt: skip
+        return dataset[spans]
+    first, *rest = places
+    rows = [dataset[(int(at), *spans[1:])] for at in first]
+    inner = np.ix_(np.arange(len(rows)), *(np.asarray(one) - span.start for one, span in
+                                           zip(rest, spans[1:], strict=True)))  # fmt: skip
+    return np.stack(rows)[inner]
 
 
 def _dimensions(dataset: h5py.Dataset) -> tuple[str, ...] | None:

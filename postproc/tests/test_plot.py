@@ -5,9 +5,11 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
+import h5py
 import matplotlib as mpl
 import numpy as np
 import pytest
+import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.collections import PathCollection, QuadMesh
 from matplotlib.container import ErrorbarContainer
@@ -17,6 +19,7 @@ from matplotlib.lines import Line2D
 import postproc
 from postproc import InputError, plot
 from postproc.figures import circuits, maps
+from postproc.reading import results_file
 from postproc.reporting import data as columns_of
 from postproc.tests.runs import BARE, edited, leave_out, points_of, results_of
 
@@ -138,6 +141,21 @@ def test_series_come_with_a_part_of_the_dataset(folder: Path) -> None:
     assert stays.groupby(["channel2_width", "replica"]).ngroups == 4
     ends = stays.groupby(["channel2_width", "replica"]).agg({"start": "min", "duration": "sum"})
     assert (ends["start"] + ends["duration"]).unique().tolist() == [100.0]
+
+
+def test_of_a_part_only_its_series_are_read(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """In any order, also where all series together do not fit into memory."""
+    data = postproc.open_results(folder / "map.h5")
+    whole = data.series
+    with h5py.File(folder / "map.h5") as file:
+        size = sum(one.nbytes for one in file["series"].values())
+    monkeypatch.setattr(results_file, "memory_left", lambda: 0.8 * size)
+    with pytest.raises(InputError, match="bytes of memory"):
+        postproc.open_results(folder / "map.h5", group="series")
+    for places in ({"threshold": [0]}, {"replica": 1}, {"threshold": -1, "replica": [1, 0]},
+                   {"threshold": [2, 0], "channel2_width": 1, "replica": 0}):  # fmt: skip
+        part = data.isel(places).series
+        xr.testing.assert_identical(part, whole.isel(places))
 
 
 def test_one_thing_has_one_number_wherever_it_is_shown(folder: Path) -> None:
