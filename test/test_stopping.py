@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING
 
 import pytest
 from support.program import (
-    ROOT,
     finish,
     hears,
     namelist,
@@ -42,13 +41,6 @@ def test_the_help_names_the_ways_that_lose_nothing(tmp_path: Path) -> None:
     text = run("--help", folder=tmp_path).stdout
     assert all(way in text for way in WAYS)
     assert "mpirun itself exits with 1" in text
-
-
-@pytest.mark.parametrize("page", ["README.md", "docs/ensembles.md", "docs/clusters.md"])
-def test_the_pages_name_the_ways_that_lose_nothing(page: str) -> None:
-    """So do the pages that say how to run it on a cluster."""
-    text = " ".join((ROOT / page).read_text().split())
-    assert all(way in text for way in WAYS), page
 
 
 def test_a_stopped_run_names_the_ways_that_lose_nothing(tmp_path: Path) -> None:

@@ -13,36 +13,33 @@ STUDIES = "Studies"
 PAGES = {
     "Start": {
         "install": "docs/install.md",
-        "tutorial_phase_diagram": "docs/tutorial_phase_diagram.md",
-        "tutorial_python": "docs/tutorial_python.md",
+        "tutorial": "docs/tutorial.md",
+        "gallery": "docs/gallery.md",
+        "cookbook": "docs/cookbook.md",
         "troubleshooting": "docs/troubleshooting.md",
+    },
+    "Runs": {
+        "runs": "docs/runs.md",
+        "geometries": "docs/geometries.md",
     },
     "Reference": {
         "input": "docs/input.md",
-        "shapes": "docs/shapes.md",
         "output": "docs/output.md",
         "command_line": "docs/command_line.md",
         "python": "docs/python.md",
-        "commands": "postproc/README.md",
-        "ensembles": "docs/ensembles.md",
-        "clusters": "docs/clusters.md",
     },
-    "What is found": {
+    "Background": {
         "theory": "docs/theory.md",
-        "figures": "docs/figures.md",
+        "accuracy": "docs/accuracy.md",
         "paper": "docs/paper.md",
         "validation": "docs/validation.md",
         "open_questions": "docs/open_questions.md",
-        "scatterers": "docs/scatterers.md",
-        "accuracy": "docs/accuracy.md",
     },
     STUDIES: {"studies": "studies/README.md"},  # and one for each folder of studies
-    "How it is built": {
-        "method": "docs/method.md",
-        "speed": "docs/speed.md",
-        "reliability": "docs/reliability.md",
+    "Developers": {
         "contributing": "CONTRIBUTING.md",
         "development": "docs/development.md",
+        "internals": "docs/internals.md",
         "questions": "docs/questions.md",
         "changes": "CHANGELOG.md",
     },

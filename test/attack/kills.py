@@ -3,7 +3,7 @@
 Each campaign starts an ensemble again and again; ranks, or mpirun, or all of them get signals at
 random times. In the end it is run in peace: its results must be the bits of an undisturbed run.
 
-An `mpirun` of Open MPI whose ranks are all dead may wait for itself for ever (docs/reliability.md).
+An `mpirun` of Open MPI whose ranks are all dead may wait for itself for ever (docs/internals.md).
 Such a one is ended by SIGINT as a user would end it, and is counted apart.
 """
 
