@@ -39,16 +39,21 @@ class Circuit:
 
     Attributes
     ----------
-    number : N, how many particles.
-    threshold : T, one number or two: a gate reverses the particles that it counts if these are more
-        than T.
-    urn_radius : r, one number or two.
-    channel1_width, channel1_length : w and l of the gated channel, both gates together.
-    channel2_width, channel2_length : w' and l' of the channel that closes the circuit, of which
-        there is none if w' = 0.
-    urn_sides : how many sides urns have that are regular polygons of radius r; None: discs.
-    urn_vertices : x1, y1, x2, y2, ... of urns that are any polygons, counterclockwise, x towards
-        channel 1; None: discs.
+    number
+        N, how many particles.
+    threshold
+        T, one number or two: a gate reverses the particles that it counts if these are more than T.
+    urn_radius
+        r, one number or two.
+    channel1_width, channel1_length
+        w and l of the gated channel, both gates together.
+    channel2_width, channel2_length
+        w' and l' of the channel that closes the circuit, of which there is none if w' = 0.
+    urn_sides
+        How many sides urns have that are regular polygons of radius r; None: discs.
+    urn_vertices
+        x1, y1, x2, y2, ... of urns that are any polygons, counterclockwise, x towards channel 1;
+        None: discs.
 
     Raises
     ------
@@ -94,8 +99,10 @@ class Circuit:
 
         Parameters
         ----------
-        urn2_number : N2, between 0 and N, of any shape.
-        theory : "window" (the paper's), "renewal" or "direction".
+        urn2_number
+            N2, between 0 and N, of any shape.
+        theory
+            "window" (the paper's), "renewal" or "direction".
 
         Returns
         -------
@@ -109,8 +116,10 @@ class Circuit:
 
         Parameters
         ----------
-        theory : as for `eta`.
-        age : time since the start of a run, for "direction", whose net current grows with it; by
+        theory
+            As for `eta`.
+        age
+            Time since the start of a run, for "direction", whose net current grows with it; by
             default that of the paper's runs.
 
         Returns
@@ -143,8 +152,10 @@ class Circuit:
 
         Parameters
         ----------
-        thresholds : T for which it is computed. `threshold` and `channel2_width` are not used.
-        theory : as for `eta`.
+        thresholds
+            T for which it is computed. `threshold` and `channel2_width` are not used.
+        theory
+            As for `eta`.
 
         Returns
         -------
@@ -177,8 +188,10 @@ class Circuit:
 
         Parameters
         ----------
-        theory : one or several.
-        ax : axes to draw into; None: the current ones of pyplot.
+        theory
+            One or several.
+        ax
+            Axes to draw into; None: the current ones of pyplot.
 
         Returns
         -------

@@ -36,10 +36,14 @@ def phase_diagram(
 
     Parameters
     ----------
-    data, ax : as above.
-    variable : what is shown, such as "chi" or "polarised_current".
-    theory : whose lines are drawn, over T/N and w'; `Circuit.transition_line` has them as arrays.
-    look : given to `Axes.pcolormesh`, such as `cmap` or `vmax`.
+    data, ax
+        As above.
+    variable
+        What is shown, such as "chi" or "polarised_current".
+    theory
+        Whose lines are drawn, over T/N and w'; `Circuit.transition_line` has them as arrays.
+    look
+        Given to `Axes.pcolormesh`, such as `cmap` or `vmax`.
 
     Returns
     -------
@@ -65,9 +69,12 @@ def curves(
 
     Parameters
     ----------
-    data, ax, theory : as above.
-    variable : what is drawn, such as "chi" or "polarised_current".
-    against : another variable along the axis, such as "chi"; "": the key.
+    data, ax, theory
+        As above.
+    variable
+        What is drawn, such as "chi" or "polarised_current".
+    against
+        Another variable along the axis, such as "chi"; "": the key.
     """
     points = Points(data)
     drawn = _theories(points, theory)

@@ -47,8 +47,9 @@ class RunError(RuntimeError):
 
     Attributes
     ----------
-    code : exit code of the program: 1, some tasks failed; 3, stopped early, the state is saved and
-        the same call goes on.
+    code
+        Exit code of the program: 1, some tasks failed; 3, stopped early, the state is saved and the
+        same call goes on.
     """
 
     def __init__(self, code: int, message: str) -> None:
@@ -82,10 +83,13 @@ def write_namelist(
 
     Parameters
     ----------
-    file : path; None: nothing is written.
-    groups : values by group and key: numbers, texts, truth values, paths, or lists or arrays of
-        numbers. None leaves a key out.
-    program : the program that will run it and that lists its keys (see `find_program`).
+    file
+        Path; None: nothing is written.
+    groups
+        Values by group and key: numbers, texts, truth values, paths, or lists or arrays of numbers.
+        None leaves a key out.
+    program
+        The program that will run it and that lists its keys (see `find_program`).
 
     Raises
     ------
@@ -139,15 +143,22 @@ def run(
 
     Parameters
     ----------
-    namelist : a file, or values by group and key (as in `write_namelist`).
-    ranks : MPI ranks; 1: without a launcher. More than there are tasks, and processors here, are
+    namelist
+        A file, or values by group and key (as in `write_namelist`).
+    ranks
+        MPI ranks; 1: without a launcher. More than there are tasks, and processors here, are
         refused.
-    folder : working folder, made if necessary; names of files in the namelist are relative to it.
-        None: the current folder. A folder made for a run that is refused is removed.
-    overwrite : discard existing results.
-    quiet : do not print the output of the program.
-    program : see `find_program`.
-    launcher : command that starts several ranks; their number follows it.
+    folder
+        Working folder, made if necessary; names of files in the namelist are relative to it. None:
+        the current folder. A folder made for a run that is refused is removed.
+    overwrite
+        Discard existing results.
+    quiet
+        Do not print the output of the program.
+    program
+        See `find_program`.
+    launcher
+        Command that starts several ranks; their number follows it.
 
     Raises
     ------

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 sys.path.insert(0, str(ROOT / "docs"))
 
-from manual import fortran, pages, python, reference
+from manual import fortran, pages, reference
 from manual.fences import Fences
 
 BROWSER = shutil.which("chromium")
@@ -156,11 +156,9 @@ def test_every_page_is_in_the_site() -> None:
 
 
 def test_public_names_are_explained() -> None:
-    """Of all modules, Fortran and Python."""
+    """Of all modules of Fortran; of Python lint demands it."""
     modules = [fortran.read_module(path) for path in sorted((ROOT / "src").rglob("*.[fF]90"))]
     assert [one for module in modules if module for one in fortran.unexplained(module)] == []
-    files = [path for path in (ROOT / "postproc").rglob("*.py") if "tests" not in path.parts]
-    assert [one for path in files for one in python.unexplained(path)] == []
 
 
 def test_a_public_name_without_a_word_is_found(tmp_path: Path) -> None:
@@ -169,8 +167,6 @@ def test_a_public_name_without_a_word_is_found(tmp_path: Path) -> None:
     assert fortran.unexplained(fortran.read_module(tmp_path / "m.f90"))
     (tmp_path / "m.f90").write_text(bare.replace("  subroutine", "  !> Does.\n  subroutine"))
     assert fortran.unexplained(fortran.read_module(tmp_path / "m.f90")) == []
-    (tmp_path / "m.py").write_text('"""M."""\n\ndef f(): ...\n')
-    assert python.unexplained(tmp_path / "m.py")
 
 
 @pytest.mark.full

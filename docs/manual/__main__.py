@@ -14,13 +14,24 @@ import sys
 import time
 from pathlib import Path
 
-from manual import fortran, pages, python, reference
+from manual import fortran, pages, reference
 from manual.fences import Fences
 
 ROOT = Path(__file__).resolve().parents[2]
 SOURCE = ROOT / "build/manual/source"
 WORK = ROOT / "build/manual/work"
 SITE = ROOT / "build/site"
+# The public names of Python, from their docstrings.
+PUBLIC = """# Names of Python
+
+```{eval-rst}
+.. automodule:: postproc
+   :members:
+
+.. automodule:: postproc.plot
+   :members:
+```
+"""
 
 
 def main() -> int:
@@ -75,44 +86,25 @@ def sphinx() -> int:
     return done.returncode
 
 
-def layers() -> dict[str, dict[str, str]]:
-    """Return the layers of src and postproc with their meanings (docs/layers.txt)."""
-    found: dict[str, dict[str, str]] = {}
-    tree = ""
-    for line in (ROOT / "docs/layers.txt").read_text().splitlines():
-        if re.fullmatch(r"\w+", line):
-            tree = line
-            found[tree] = {}
-        elif match := re.match(r"  (\w+) +(.*)", line):
-            found[tree][match[1]] = match[2]
-    return found
+def layers() -> dict[str, str]:
+    """Return the layers of src with their meanings (docs/layers.txt)."""
+    text = (ROOT / "docs/layers.txt").read_text().partition("\nsrc\n")[2]
+    return dict(re.findall(r"^  (\w+) +(.*)", re.split(r"^\w", text, flags=re.MULTILINE)[0],
+                           flags=re.MULTILINE))  # fmt: skip
 
 
 def write_api() -> tuple[dict[str, list[str]], list[str]]:
-    """Write the pages of all layers; return their names, and public names without a docstring."""
-    names: dict[str, list[str]] = {"Fortran": [], "Python": []}
-    problems = []
-    for layer, meaning in layers()["src"].items():
+    """Write the pages of public names; return their names, and names without an explanation."""
+    names, problems = [], []
+    for layer, meaning in layers().items():
         files = sorted((ROOT / "src" / layer).rglob("*.[fF]90"))
         modules = [one for path in files if (one := fortran.read_module(path.relative_to(ROOT)))]
         problems += [one for module in modules for one in fortran.unexplained(module)]
-        names["Fortran"].append(f"fortran_{layer}")
+        names.append(f"fortran_{layer}")
         text = fortran.page(layer, meaning, modules)
         (SOURCE / f"fortran_{layer}.md").write_text(text, encoding="utf-8")
-    for layer, meaning in layers()["postproc"].items():
-        files = sorted((ROOT / "postproc" / layer).rglob("*.py"))
-        files = files or [ROOT / f"postproc/{layer}.py"]
-        if layer == "commands":
-            files = [
-                path
-                for path in sorted((ROOT / "postproc").glob("*.py"))
-                if path.stem not in layers()["postproc"]
-            ]
-        problems += [one for path in files for one in python.unexplained(path)]
-        names["Python"].append(f"python_{layer}")
-        text = python.page(layer, meaning, files, ROOT)
-        (SOURCE / f"python_{layer}.md").write_text(text, encoding="utf-8")
-    return names, problems
+    (SOURCE / "python_names.md").write_text(PUBLIC, encoding="utf-8")
+    return {"Python": ["python_names"], "Fortran": names}, problems
 
 
 if __name__ == "__main__":

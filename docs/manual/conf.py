@@ -12,7 +12,9 @@ if TYPE_CHECKING:
     from sphinx.writers.html5 import HTML5Translator
 
 project = "battery"
-extensions = ["myst_parser"]
+extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon"]
+autodoc_typehints = "description"
+default_role = "code"  # of docstrings
 myst_enable_extensions = ["dollarmath"]
 myst_heading_anchors = 4
 myst_fence_as_directive = ["math"]

@@ -40,10 +40,14 @@ def advise(
 
     Parameters
     ----------
-    namelist : a file, or values by group and key, of one point.
-    quantity : "chi", "polarised_current" or "transition".
-    tolerance : relative.
-    pilot_seconds : processor time that the pilot may take.
+    namelist
+        A file, or values by group and key, of one point.
+    quantity
+        "chi", "polarised_current" or "transition".
+    tolerance
+        Relative.
+    pilot_seconds
+        Processor time that the pilot may take.
 
     Raises
     ------

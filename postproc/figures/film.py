@@ -307,11 +307,16 @@ def film(
 
     Parameters
     ----------
-    results : a results file, or a dataset of `open_results`.
-    file : path of the film: `.mp4`, or `.gif`, which has every second frame.
-    point, replica : of the task, from 1; None: the first that is complete.
-    seconds : length of the film, at most.
-    verify : whether to read the file as a whole and check its digest.
+    results
+        A results file, or a dataset of `open_results`.
+    file
+        Path of the film: `.mp4`, or `.gif`, which has every second frame.
+    point, replica
+        Of the task, from 1; None: the first that is complete.
+    seconds
+        Length of the film, at most.
+    verify
+        Whether to read the file as a whole and check its digest.
 
     Raises
     ------

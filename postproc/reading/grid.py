@@ -58,17 +58,21 @@ def open_results(
 
     Parameters
     ----------
-    file : the results file.
-    theory : the name of a theory, "window" (the paper's), "renewal" or "direction": variables
+    file
+        The results file.
+    theory
+        The name of a theory, "window" (the paper's), "renewal" or "direction": variables
         `theory_...` have its results at the age of the runs, those of the stable state that its
         drift reaches from their start; several theories become a dimension `theory`. True: the
         paper's beside memory ("direction"), which takes two seconds a point; beyond 12 points and
         for polygons beside the exact gate ("renewal"); none if there are discs in channel 2, which
         no theory has.
-    group : what to read in place of the averages: "series", "snapshots", "final" or "events". A
-        dataset has them as `data.series`, ... as well; of a part of it (`data.sel(threshold=7)`)
-        only that part is read.
-    verify : whether to read the whole file and check its digest, which detects any damage.
+    group
+        What to read in place of the averages: "series", "snapshots", "final" or "events". A dataset
+        has them as `data.series`, ... as well; of a part of it (`data.sel(threshold=7)`) only that
+        part is read.
+    verify
+        Whether to read the whole file and check its digest, which detects any damage.
 
     Returns
     -------
@@ -199,7 +203,8 @@ def merge(parts: Iterable[str | Path | xr.Dataset]) -> xr.Dataset:
 
     Parameters
     ----------
-    parts : results files, or datasets of `open_results`.
+    parts
+        Results files, or datasets of `open_results`.
 
     Returns
     -------

@@ -75,9 +75,10 @@ def mean_error(values: xr.DataArray, own_error: xr.DataArray | None = None) -> x
 
     Parameters
     ----------
-    values : a variable of `open_results` with the dimension `replica`; NaN where a task is not
-        complete.
-    own_error : the same variable with `_error`; without it the error of one replica is NaN.
+    values
+        A variable of `open_results` with the dimension `replica`; NaN where a task is not complete.
+    own_error
+        The same variable with `_error`; without it the error of one replica is NaN.
 
     Returns
     -------

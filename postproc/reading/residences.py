@@ -25,8 +25,10 @@ def residences(series: xr.Dataset, *, low: float = 0.2, high: float = 0.7) -> pd
 
     Parameters
     ----------
-    series : those of a dataset, `data.series`.
-    low, high : of (N1 - N2)/N, 0 < low < high < 1.
+    series
+        Those of a dataset, `data.series`.
+    low, high
+        Of (N1 - N2)/N, 0 < low < high < 1.
 
     Returns
     -------

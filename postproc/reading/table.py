@@ -26,8 +26,10 @@ def table(
 
     Parameters
     ----------
-    results : a results file, several (`merge`), or a dataset of `open_results` or `merge`.
-    theory : names of theories, "window" (the paper's), "renewal" or "direction".
+    results
+        A results file, several (`merge`), or a dataset of `open_results` or `merge`.
+    theory
+        Names of theories, "window" (the paper's), "renewal" or "direction".
 
     Returns
     -------

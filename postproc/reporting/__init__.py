@@ -27,11 +27,15 @@ def report(
 
     Parameters
     ----------
-    results : a results file, several (`merge`), or a dataset of `open_results` or `merge`.
-    file : the page; None: in the current folder, with the name of the first results file.
-    theory : names of theories, "window" (the paper's), "renewal" or "direction"; None: those that
-        the figures draw.
-    verify : whether to read files as a whole and check their digests.
+    results
+        A results file, several (`merge`), or a dataset of `open_results` or `merge`.
+    file
+        The page; None: in the current folder, with the name of the first results file.
+    theory
+        Names of theories, "window" (the paper's), "renewal" or "direction"; None: those that the
+        figures draw.
+    verify
+        Whether to read files as a whole and check their digests.
 
     Raises
     ------
