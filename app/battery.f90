@@ -16,7 +16,7 @@ program battery
   use battery_provenance, only: version_text
   use battery_self_test, only: run_self_test
   use battery_signals, only: watch_signals
-  use battery_startup, only: accept_output
+  use battery_startup, only: accept_output, write_partial_results
   use battery_process, only: exit_process, exit_after
   use battery_terminal, only: guard_streams, print_line, print_error, all_was_printed
   use battery_text, only: string_type
@@ -86,8 +86,10 @@ contains
       call check_json_file(command_line%json, plan, error)
     call share_error(communicator, error)
     if (allocated(error)) return
-    if (command_line%accept) then
-      if (communicator%rank == 0) call accept_output(plan, message, error)
+    if (command_line%accept .or. command_line%partial) then
+      if (communicator%rank == 0 .and. command_line%accept) call accept_output(plan, message, error)
+      if (communicator%rank == 0 .and. command_line%partial) call write_partial_results(plan, &
+        message, error)
       call share_error(communicator, error)
       if (communicator%rank == 0 .and. .not. (allocated(error) .or. command_line%quiet)) &
         call print_line(message)

@@ -31,13 +31,14 @@ module battery_merge
   use battery_text, only: string_type, to_text, join, new_line_character
   implicit none (type, external)
   private
-  public :: merge_results, collect_results, sources_type
+  public :: merge_results, write_results_of, collect_results, sources_type
+  public :: open_sources, close_sources
 
   !> Place of a task's output: a record in a rank file, or columns of the old results file.
   type :: place_type
     private
-    !> Number of the rank file; below 0 if the output is in none.
-    integer :: rank_file = -1
+    !> Index of the rank file in the list of sources; 0 if the output is in none.
+    integer :: rank_file = 0
     !> Offset of the record in the rank file.
     integer(int64) :: at = 0
     !> Replica and point in the old file, from 1; 0: the old file does not have the output.
@@ -48,6 +49,9 @@ module battery_merge
   type :: sources_type
     !> The old results file: open if it has tasks that the journal does not have.
     type(results_file_type) :: old
+    !> Numbers of the rank files, and readers of them if all are held open.
+    integer, allocatable, private :: rank_file(:)
+    type(record_reader_type), allocatable, private :: reader(:)
     !> Place of the output of each task.
     type(place_type), allocatable, private :: place(:)
     !> Greatest number of entries, or of particles, of any task in each group of outputs.
@@ -69,12 +73,31 @@ contains
     type(error_type), allocatable, intent(out) :: error
     type(sources_type) :: sources
     type(results_file_type) :: file
-    type(task_type) :: task
     integer, allocatable :: replicas_needed(:)
-    integer :: k
 
     call collect_results(plan, journal, sources, results, failures, replicas_needed, error)
     if (allocated(error)) return
+    call write_results_of(plan, journal, sources, plan%file, start_date, replicas_needed, results, &
+      file, error)
+    call publish_results(plan%file, file, journal%lock%before, error)
+  end subroutine merge_results
+
+  !> Writes the results of all sources to a new file, which is still to be published.
+  subroutine write_results_of(plan, journal, sources, name, start_date, replicas_needed, results, &
+    file, error)
+    type(plan_type), intent(in) :: plan
+    type(journal_type), intent(in) :: journal
+    !> From `collect_results`, as are the results and the numbers of replicas; closed here.
+    type(sources_type), intent(inout) :: sources
+    !> Path of the file, and start of the run as date and time of day.
+    character(len=*), intent(in) :: name, start_date
+    integer, intent(in) :: replicas_needed(:)
+    type(results_type), intent(inout) :: results
+    type(results_file_type), intent(out) :: file
+    type(error_type), allocatable, intent(out) :: error
+    type(task_type) :: task
+    integer :: k
+
     call drop_unwanted_replicas(results, replicas_needed)
     do k = 1, task_count(plan)
       task = task_of(plan, k)
@@ -82,15 +105,55 @@ contains
       results%point(task%point)%urn_radius = task%setup%table%urn%radius
       results%seed(task%replica, task%point) = task%setup%seed
     end do
-    call create_results(plan%file, file, error)
-    call write_description(file, plan, journal%ranks, start_date, results, error)
+    call create_results(name, file, error)
+    call write_description(file, plan, max(1, journal%ranks), start_date, results, error)
     call write_results(file, results, error)
     call prepare_outputs(file%hdf5_file_type, plan, sources%length, plan%event_log .and. any( &
       results%task_status <= task_failed), file%outputs, error)
     call copy_outputs(plan, journal, sources, file, results, error)
+    call close_sources(sources)
+  end subroutine write_results_of
+
+  !> Opens all rank files, so that what is in them now can be read even if a run that is going on
+  !> ends and removes them.
+  subroutine open_sources(journal, sources)
+    type(journal_type), intent(in) :: journal
+    !> Sources, to be closed with `close_sources`.
+    type(sources_type), intent(out) :: sources
+    integer :: k
+
+    sources%rank_file = rank_files_of(journal)
+    allocate (sources%reader(size(sources%rank_file)))
+    do k = 1, size(sources%reader)
+      call open_records(sources%reader(k), rank_file(journal, sources%rank_file(k)))
+    end do
+  end subroutine open_sources
+
+  !> Closes the old results file and the rank files that are held open.
+  subroutine close_sources(sources)
+    type(sources_type), intent(inout) :: sources
+    integer :: k
+
     call close_results(sources%old)
-    call publish_results(plan%file, file, journal%lock%before, error)
-  end subroutine merge_results
+    if (.not. allocated(sources%reader)) return
+    do k = 1, size(sources%reader)
+      call close_records(sources%reader(k))
+    end do
+  end subroutine close_sources
+
+  !> A reader of a rank file, by its index in the list; one that is held open, if it is.
+  subroutine open_rank_file(journal, sources, k, reader)
+    type(journal_type), intent(in) :: journal
+    type(sources_type), intent(in) :: sources
+    integer, intent(in) :: k
+    type(record_reader_type), intent(out) :: reader
+
+    if (allocated(sources%reader)) then
+      reader = sources%reader(k)
+    else
+      call open_records(reader, rank_file(journal, sources%rank_file(k)))
+    end if
+  end subroutine open_rank_file
 
   !> Writes the attributes of the root: program, input and run. Does nothing after an error.
   subroutine write_description(file, plan, ranks, start_date, results, error)
@@ -168,24 +231,23 @@ contains
     type(record_reader_type) :: reader
     type(task_index_type) :: task_index
     type(place_type) :: place
-    integer, allocatable :: files(:)
     integer :: k, group
     logical :: is_one
 
     allocate (failures(task_count(plan)), sources%place(task_count(plan)))
     call new_results(results, plan%point_count, plan%replicas)
     results%scanned = plan%scanned
-    files = rank_files_of(journal)
-    if (size(files) > 0 .or. file_exists(plan%file)) task_index = task_index_of(plan)
-    do k = 1, size(files)
-      place%rank_file = files(k)
-      call open_records(reader, rank_file(journal, files(k)))
+    if (.not. allocated(sources%rank_file)) sources%rank_file = rank_files_of(journal)
+    if (size(sources%rank_file) > 0 .or. file_exists(plan%file)) task_index = task_index_of(plan)
+    do k = 1, size(sources%rank_file)
+      place%rank_file = k
+      call open_rank_file(journal, sources, k, reader)
       do
         call next_result(reader, found, place%at, is_one)
         if (.not. is_one) exit
         call add_result(found, place, [(size(found%of(group)%values, 1), group=1, size(found%of))])
       end do
-      call close_records(reader)
+      if (.not. allocated(sources%reader)) call close_records(reader)
     end do
     if (any(results%task_status /= task_complete)) call add_old_results()
     if (.not. allocated(error)) call decide_replicas(plan, results, replicas_needed)
@@ -286,7 +348,7 @@ contains
     logical :: is_one
 
     if (all(sources%length == 0)) return
-    open_file = -1
+    open_file = 0
     do k = 1, task_count(plan)
       if (allocated(error)) exit
       task = task_of(plan, k)
@@ -297,8 +359,8 @@ contains
             task%number, found%task_output_type, error)
         else
           if (place%rank_file /= open_file) then
-            call close_records(reader)
-            call open_records(reader, rank_file(journal, place%rank_file))
+            if (.not. allocated(sources%reader)) call close_records(reader)
+            call open_rank_file(journal, sources, place%rank_file, reader)
             open_file = place%rank_file
           end if
           reader%at = place%at
@@ -313,7 +375,7 @@ contains
       if (ended_early(found%task_output_type, size(plan%snapshot_times))) &
         results%short_tasks = results%short_tasks + 1
     end do
-    call close_records(reader)
+    if (.not. allocated(sources%reader)) call close_records(reader)
   end subroutine copy_outputs
 
   !> Removes replicas beyond the number that their point needs: an earlier run may have needed more.

@@ -2,19 +2,24 @@
 module battery_startup
   use battery_kinds, only: wp, dp, int64
   use battery_build_information, only: program_version
+  use battery_clocks, only: utc_now
   use battery_communicator, only: communicator_type, share_error, share_words
   use battery_checksum_footer, only: check_discardable
   use battery_error, only: error_type, fatal_error, exit_failure, exit_bad_input
-  use battery_files, only: file_exists, remove_file
+  use battery_files, only: file_exists, remove_file, publish_file, file_stamp_type
   use battery_journal, only: journal_type, read_plan, task_ids_in, begin_journal, join_journal, &
     rank_files_in, check_journal, remove_journal
   use battery_lock_file, only: lock_type, acquire_lock, release_lock
-  use battery_merge, only: collect_results, sources_type
+  use battery_machine, only: host_name
+  use battery_merge, only: collect_results, sources_type, open_sources, close_sources, &
+    write_results_of
   use battery_namelist_input, only: differing_keys, parse_namelist
   use battery_plan, only: plan_type
   use battery_plan_remarks, only: remarks_of
   use battery_results, only: results_type, task_complete, point_undecided
-  use battery_results_file, only: results_file_type, open_results, close_results, accept_results
+  use battery_process, only: process_number
+  use battery_results_file, only: results_file_type, open_results, close_results, accept_results, &
+    publish_results
   use battery_tasks, only: task_type, task_count, task_of, sort_longest_first, task_index_type, &
     task_index_of, task_number_of
   use battery_terminal, only: print_line
@@ -22,6 +27,7 @@ module battery_startup
   implicit none (type, external)
   private
   public :: find_pending_tasks, progress_type, inspect_output, further_text, accept_output
+  public :: write_partial_results
 
   !> Progress of an ensemble.
   type :: progress_type
@@ -275,6 +281,61 @@ contains
     call close_results(file)
     call release_lock(lock)
   end subroutine accept_output
+
+  !> Writes what is finished of an ensemble, which may be going on or have died, to the file
+  !> `FILE.h5.partial.h5`. It takes no lock and changes nothing else. All rank files are opened
+  !> before the results file: a run that ends meanwhile publishes that before it removes them.
+  subroutine write_partial_results(plan, message, error)
+    type(plan_type), intent(in) :: plan
+    !> Message for the user.
+    character(len=:), allocatable, intent(out) :: message
+    !> No task is finished, existing files are of another input, or the file cannot be written.
+    type(error_type), allocatable, intent(out) :: error
+    type(plan_type) :: partial
+    type(journal_type) :: journal
+    type(sources_type) :: sources
+    type(results_type) :: results
+    type(results_file_type) :: file
+    type(error_type), allocatable :: damage
+    type(string_type), allocatable :: failures(:)
+    integer, allocatable :: replicas_needed(:)
+    character(len=:), allocatable :: unique
+    logical :: complete, found
+
+    message = ''
+    partial = plan
+    partial%file = plan%file//'.partial.h5'
+    call inspect_results_file(partial, file, complete, damage, error)
+    call close_results(file)
+    if (allocated(damage) .or. allocated(error)) then
+      call fatal_error(error, partial%file//': is not a partial file of this input, and is not ' &
+        //'replaced; move it away', exit_bad_input)
+      return
+    end if
+    call inspect_journal(plan, .true., found, error)
+    if (allocated(error)) return
+    call join_journal(journal, journal_folder(plan), rank_files_in(journal_folder(plan)), 0, 0)
+    call open_sources(journal, sources)
+    call inspect_results_file(plan, sources%old, complete, damage, error)
+    if (.not. allocated(error)) call collect_results(plan, journal, sources, results, failures, &
+      replicas_needed, error)
+    if (.not. allocated(error)) then
+      if (all(results%task_status /= task_complete)) call fatal_error(error, plan%file &
+        //': no task is finished yet', exit_bad_input)
+    end if
+    if (.not. allocated(error)) then
+      ! Another process may write the same file at the same time.
+      unique = partial%file//'.'//host_name()//'.'//to_text(process_number())
+      call remove_file(unique, error)
+      if (.not. allocated(error)) call write_results_of(plan, journal, sources, unique, utc_now(), &
+        replicas_needed, results, file, error)
+      call publish_results(unique, file, file_stamp_type(), error)
+      if (.not. allocated(error)) call publish_file(unique, partial%file, error)
+      message = partial%file//': has '//to_text(count(results%task_status == task_complete)) &
+        //' of '//to_text(task_count(plan))//' tasks'
+    end if
+    call close_sources(sources)
+  end subroutine write_partial_results
 
   !> Inspects the journal, which must be of this input, or of one that this input extends; if its
   !> plan is damaged, its records must not belong to another input.

@@ -12,11 +12,11 @@ module battery_command_line
   !> First line of the help.
   character(len=*), parameter :: usage_line = &
     'usage: battery [--check] [--overwrite] [--quiet] [--json FILE] FILE.nml, '// &
-    'battery --accept FILE.nml, battery --help, battery --schema, battery --self-test, '// &
-    'battery --version'
+    'battery --accept FILE.nml, battery --partial FILE.nml, battery --help, battery --schema, '// &
+    'battery --self-test, battery --version'
 
-  character(len=11), parameter :: options(9) = [character(len=11) :: '--check', '--overwrite', &
-    '--quiet', '--json', '--accept', '--help', '--schema', '--self-test', '--version']
+  character(len=11), parameter :: options(10) = [character(len=11) :: '--check', '--overwrite', &
+    '--quiet', '--json', '--accept', '--partial', '--help', '--schema', '--self-test', '--version']
 
   !> Ways to stop a run without loss: Open MPI kills ranks that take longer than a second (version
   !> 5: a quarter of a second) to save their states.
@@ -44,6 +44,8 @@ module battery_command_line
     logical :: overwrite = .false.
     !> Accept results that another program has changed, instead of a run.
     logical :: accept = .false.
+    !> Write what is finished of a run, instead of a run.
+    logical :: partial = .false.
     !> Print errors only.
     logical :: quiet = .false.
   end type command_line_type
@@ -108,8 +110,10 @@ contains
       call add(problems, command%file//': --schema takes no file; it is the same for all')
     if (command%self_test .and. command%file /= '') &
       call add(problems, command%file//': --self-test takes no file')
-    if (command%accept .and. (command%check .or. command%overwrite .or. command%json /= '')) &
-      call add(problems, '--accept: cannot be given with --check, --overwrite or --json')
+    if ((command%accept .or. command%partial) .and. (command%check .or. command%overwrite .or. &
+      command%json /= '' .or. (command%accept .and. command%partial))) call add(problems, &
+      trim(merge('--accept ', '--partial', command%accept))//': cannot be given with --check, ' &
+      //'--overwrite, --json or '//trim(merge('--partial', '--accept ', command%accept)))
     if (problems /= '') call fatal_error(error, problems//new_line_character//usage_line, &
       exit_bad_input)
   end subroutine parse_arguments
@@ -128,6 +132,8 @@ contains
       command%overwrite = .true.
     case ('--accept')
       command%accept = .true.
+    case ('--partial')
+      command%partial = .true.
     case ('--quiet')
       command%quiet = .true.
     case ('--help', '-h')
@@ -169,6 +175,8 @@ contains
       //'  --json FILE  write the path of the results (--check: time and memory) as JSON'//nl &
       //'  --accept     take results as they are that another program opened for writing:'//nl &
       //'               check structure and seeds, write a new digest; run nothing'//nl &
+      //'  --partial    write what is finished of a run that goes on, was stopped or died, to'//nl &
+      //'               OUTPUT.partial.h5 (OUTPUT: the key file of &output); run nothing'//nl &
       //'  --help       print this'//nl &
       //'  --schema     print a JSON Schema of FILE.nml as f90nml turns it into JSON'//nl &
       //'  --self-test  test the installed program, on all ranks, in seconds'//nl &

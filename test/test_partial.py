@@ -1,0 +1,142 @@
+"""`battery --partial`: what is finished of a run, whatever the run is doing meanwhile."""
+
+from __future__ import annotations
+
+import shutil
+import signal
+from concurrent.futures import ThreadPoolExecutor
+from typing import TYPE_CHECKING, Any
+
+import h5py
+import numpy as np
+import pytest
+from support.program import (
+    assert_same,
+    contents,
+    finish,
+    namelist,
+    rank_processes,
+    run,
+    send,
+    start,
+    wait_for,
+)
+
+from postproc import open_results
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+PARTIAL = "out.h5.partial.h5"
+TASKS = 24
+
+
+def write(folder: Path, **more: Any) -> None:
+    """Write a scan of tasks of a tenth of a second with all kinds of output but events."""
+    text = namelist(
+        particles={"number": 500},
+        run={"duration": 20000.0, "transient_duration": 500.0},
+        scan={"threshold": "2, 4, 6", "replicas": TASKS // 3, **more},
+        output={"file": "'out.h5'", "series_interval": 1000.0, "snapshot_times": "0, 500",
+                "final_state": ".true."},
+    )  # fmt: skip
+    (folder / "case.nml").write_text(text)
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return the results of the run without interruption."""
+    folder = tmp_path_factory.mktemp("whole")
+    write(folder)
+    assert run("case.nml", folder=folder, ranks=2).returncode == 0
+    return folder / "out.h5"
+
+
+def check_true(partial: Path, whole: Path) -> int:
+    """Compare a partial file with the whole results; return how many tasks it has."""
+    with h5py.File(partial) as one, h5py.File(whole) as other:
+        done = one["task_status"][()] == 0
+        assert one.attrs["status"] == ("complete" if done.all() else "partial")
+        for name in ("chi", "current2", "seed", "series/urn1_number", "final/x", "snapshots/uy"):
+            assert np.array_equal(one[name][()][done], other[name][()][done]), name
+        assert np.isnan(one["chi"][()][~done]).all()
+        assert np.isnan(one["final/x"][()][~done]).all()
+    assert int(open_results(partial)["chi"].notnull().sum()) == done.sum()
+    return int(done.sum())
+
+
+def test_beside_a_run_and_after_its_death_and_then_it_grows(tmp_path: Path, whole: Path) -> None:
+    """Renamed to the output it goes on like any other partial file, also without the journal."""
+    write(tmp_path)
+    ended = run("--partial", "case.nml", folder=tmp_path)
+    assert (ended.returncode, "no task is finished yet" in ended.stderr) == (2, True)
+    process = start("case.nml", folder=tmp_path, ranks=2)
+    numbers = rank_processes(process, 2)
+    journal = tmp_path / "out.h5.tasks"
+    assert wait_for(lambda: any(one.stat().st_size for one in journal.glob("rank_*")), process)
+    send(numbers, signal.SIGSTOP)
+    assert run("--partial", "case.nml", folder=tmp_path).returncode == 0
+    beside = check_true(tmp_path / PARTIAL, whole)
+    assert 0 < beside < TASKS
+    send(numbers, signal.SIGKILL)
+    finish(process)
+    before = sorted(path.name for path in journal.iterdir())
+    assert run("--partial", "case.nml", folder=tmp_path, ranks=2).returncode == 0
+    assert beside <= check_true(tmp_path / PARTIAL, whole) < TASKS
+    assert sorted(path.name for path in journal.iterdir()) == before
+    shutil.rmtree(journal)
+    (tmp_path / "out.h5.owner").unlink(missing_ok=True)
+    (tmp_path / PARTIAL).rename(tmp_path / "out.h5")
+    ended = run("case.nml", folder=tmp_path, ranks=2)
+    assert ended.returncode == 0, ended.stderr
+    assert_same(tmp_path / "out.h5", whole)
+
+
+def test_two_at_once_while_a_run_overwrites_and_ends(tmp_path: Path, whole: Path) -> None:
+    """Each writes a file that is true, or has none to write."""
+    write(tmp_path)
+    (tmp_path / "out.h5").write_bytes(whole.read_bytes())
+    process = start("--overwrite", "case.nml", folder=tmp_path, ranks=2)
+
+    def ask(at: int) -> list[int]:
+        counts = []
+        while process.poll() is None:
+            ended = run("--partial", "case.nml", folder=tmp_path)
+            if ended.returncode == 0:
+                kept = tmp_path / f"kept{at}.h5"
+                kept.write_bytes((tmp_path / PARTIAL).read_bytes())
+                counts.append(check_true(kept, whole))
+            else:
+                assert (ended.returncode, "no task" in ended.stderr) == (2, True), ended.stderr
+        return counts
+
+    with ThreadPoolExecutor() as pool:
+        counts = {one for found in pool.map(ask, (0, 1)) for one in found}
+    assert finish(process).returncode == 0
+    assert len(counts) > 1
+    assert_same(tmp_path / "out.h5", whole)
+    assert sorted(path.name for path in tmp_path.glob("*.partial*")) == [PARTIAL]
+
+
+@pytest.mark.parametrize("there", ["text", "another input"])
+def test_only_a_partial_file_of_its_own_input_is_replaced(
+    tmp_path: Path, whole: Path, there: str
+) -> None:
+    write(tmp_path, channel2_width="0.02")
+    if there == "text":
+        (tmp_path / PARTIAL).write_text("mine\n")
+    else:
+        (tmp_path / PARTIAL).write_bytes(whole.read_bytes())
+    before = (tmp_path / PARTIAL).read_bytes()
+    ended = run("--partial", "case.nml", folder=tmp_path)
+    assert (ended.returncode, "move it away" in ended.stderr) == (2, True)
+    assert (tmp_path / PARTIAL).read_bytes() == before
+
+
+def test_of_results_that_are_complete_it_is_a_copy(tmp_path: Path, whole: Path) -> None:
+    write(tmp_path)
+    (tmp_path / "out.h5").write_bytes(whole.read_bytes())
+    ended = run("--partial", "case.nml", folder=tmp_path)
+    assert ended.stdout == f"{PARTIAL}: has {TASKS} of {TASKS} tasks\n"
+    assert contents(tmp_path / PARTIAL).keys() == contents(whole).keys()
+    assert_same(tmp_path / PARTIAL, whole)
