@@ -66,7 +66,7 @@ SHORTEN := $(if $(filter-out 0,$(FULL)),,s/(collisions *= *[0-9]+)0$$/\1/)
 # Planes of the one-channel model: quick ones have ten values of each key; with fewer collisions they
 # would still be what they were at the start.
 PLANES  := $(notdir $(wildcard namelists/one_channel/*.nml))
-COARSEN := $(if $(filter-out 0,$(FULL)),,s/, (50|19)$$/, 10/)
+COARSEN := $(if $(filter-out 0,$(FULL)),,s/, (50|46|19)$$/, 10/)
 
 figures: build $(COMMANDS) ## every figure of the paper, quick; FULL=1: at the paper's own length
 	@mkdir -p $(FIGURES)

@@ -9,7 +9,7 @@ module battery_namelist_input
   use battery_line_problems, only: add_line_problem, line_problems_text, displayable_text
   use battery_settings, only: settings_type, read_settings, find_setting, get_value, &
     get_list, get_text
-  use battery_key, only: key_type, whole_key, is_beyond
+  use battery_key, only: key_type, whole_key, is_beyond, longest_range
   use battery_keys, only: all_keys
   use battery_identity, only: twelve_digits
   use battery_problems, only: problem_type
@@ -196,6 +196,7 @@ contains
     integer, intent(in) :: at
     type(plan_type), intent(inout) :: plan
     real(wp), allocatable, intent(out) :: values(:)
+    character(len=:), allocatable :: allowed
 
     allocate (values(0))
     associate (list => settings%all(at), range => settings%all(at + 1))
@@ -207,9 +208,19 @@ contains
         values = [list%reals, real(list%integers, wp)]
       else if (range%known) then
         values = range_of(range%reals, list%key%kind == whole_key)
-        if (all(.not. is_beyond(list%key, values))) return
-        call refuse_value(plan, trim(range%key%name), to_text(maxval(values)), &
-          'numbers up to '//to_text(list%key%greatest))
+        allowed = ''
+        if (list%key%kind == whole_key) allowed = whole_ranges(range%reals)
+        if (any(is_beyond(list%key, values))) then
+          call refuse_value(plan, trim(range%key%name), to_text(maxval(values)), &
+            'numbers up to '//to_text(list%key%greatest))
+        else if (allowed /= '') then
+          call refuse_value(plan, trim(range%key%name), range_text(range%reals), allowed)
+          ! The key is scanned all the same, and not missing.
+          values = values(:1)
+          return
+        else
+          return
+        end if
         values = [real(wp) ::]
       end if
     end associate
@@ -236,6 +247,38 @@ contains
       end if
     end associate
   end function range_of
+
+  !> The nearest ranges of whole numbers in whole steps; empty if a range is one of them.
+  pure function whole_ranges(range) result(text)
+    !> First, last, how many.
+    real(wp), intent(in) :: range(3)
+    character(len=:), allocatable :: text
+    real(wp) :: first, last, steps, near(2)
+    integer :: apart, place
+
+    text = ''
+    first = anint(range(1))
+    last = anint(range(2))
+    steps = max(1.0_wp, range(3) - 1.0_wp)
+    if (all(abs(range(:2) - [first, last]) <= 0.0_wp) .and. abs(modulo(last - first, steps)) &
+      <= 0.0_wp) return
+    do apart = 0, longest_range
+      near = max(1.0_wp, steps + [-apart, apart])
+      place = findloc(abs(modulo(last - first, near)) <= 0.0_wp, .true., dim=1)
+      if (place > 0) exit
+    end do
+    text = 'whole numbers in whole steps, such as '//range_text([first, last, near(place) + 1.0_wp])
+    if (apart > 0 .and. steps <= abs(last - first)) text = text//' or '//range_text([first, first &
+      + anint((last - first)/steps)*steps, range(3)])
+  end function whole_ranges
+
+  !> A range as it is written.
+  pure function range_text(range) result(text)
+    real(wp), intent(in) :: range(3)
+    character(len=:), allocatable :: text
+
+    text = to_text(range(1))//', '//to_text(range(2))//', '//to_text(range(3))
+  end function range_text
 
   !> Checks keys that exclude or require each other: a run has one length, in collisions or in time;
   !> a limit of the replicas requires a precision.
