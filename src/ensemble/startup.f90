@@ -20,7 +20,7 @@ module battery_startup
   use battery_process, only: process_number
   use battery_results_file, only: results_file_type, open_results, close_results, accept_results, &
     publish_results
-  use battery_tasks, only: task_type, task_count, task_of, sort_longest_first, task_index_type, &
+  use battery_tasks, only: task_type, task_count, task_of, order_tasks, task_index_type, &
     task_index_of, task_number_of
   use battery_terminal, only: print_line
   use battery_text, only: string_type, to_text, count_text, new_line_character
@@ -54,7 +54,7 @@ contains
     !> Whether to discard existing results; whether rank 0 prints nothing.
     logical, intent(in) :: overwrite, quiet
     type(journal_type), intent(out) :: journal
-    !> Numbers of the pending tasks, longest first, on rank 0; empty on the others.
+    !> Numbers of the pending tasks, in the order to be taken, on rank 0; empty on the others.
     integer, allocatable, intent(out) :: pending(:)
     !> Whether no task is pending.
     logical, intent(out) :: complete
@@ -112,7 +112,7 @@ contains
       end do
       rank_files = rank_files_in(journal_folder(plan))
       call open_journal(plan, ranks, rank_files, error)
-      call sort_longest_first(plan, pending)
+      call order_tasks(plan, ranks, pending)
     end if
   end subroutine begin_on_rank0
 

@@ -3,9 +3,11 @@
 !> Tasks are numbered from 1; the replica varies fastest. A task follows from the plan and its
 !> number alone, so any rank can make it at any time, and no list of tasks is stored.
 module battery_tasks
-  use battery_kinds, only: wp, int64, pi
+  use, intrinsic :: iso_c_binding, only: c_size_t
+  use battery_kinds, only: wp, dp, int64, pi
   use battery_engine, only: particles_type
   use battery_error, only: error_type
+  use battery_gsl, only: sort_order
   use battery_identity, only: task_id_with
   use battery_initial_state, only: random_particles
   use battery_plan, only: plan_type, point_type, point_of, table_of, setup_of
@@ -13,7 +15,7 @@ module battery_tasks
   use battery_table, only: table_type
   implicit none (type, external)
   private
-  public :: task_type, task_count, task_of, sort_longest_first, initial_particles
+  public :: task_type, task_count, task_of, order_tasks, initial_particles
   public :: task_index_type, task_index_of, task_number_of, task_id_in_results
 
   !> One task: a replica of a point of the scan.
@@ -137,51 +139,53 @@ contains
     cost = cost*(1.0_wp + 0.1_wp*log(real(point%number, wp)))
   end function cost_of
 
-  !> Sorts tasks by their expected cost, the greatest first; tasks of equal cost keep their order.
-  pure subroutine sort_longest_first(plan, tasks)
+  !> Puts tasks in the order in which ranks take them: replica by replica, so that a run that is
+  !> stopped has the whole scan; in a replica by classes of cost (a factor of two), the longest
+  !> first; in a class spread over the scan. The last tasks of each rank come longest first: then
+  !> the run ends at most 2 % later than if all did (maps, and N from 200 to 6400, 2 to 1000 ranks).
+  subroutine order_tasks(plan, ranks, tasks)
     type(plan_type), intent(in) :: plan
+    !> Number of ranks that share the tasks.
+    integer, intent(in) :: ranks
     !> Numbers of the tasks.
     integer, intent(inout) :: tasks(:)
-    real(wp) :: cost(size(tasks))
+    integer, parameter :: last_tasks = 8, classes = 2048
+    real(dp) :: cost(size(tasks)), place(size(tasks)), longest
+    integer(c_size_t) :: order(size(tasks)), count
+    integer :: k, bits
+
+    count = size(tasks)
+    bits = bit_size(bits) - leadz(plan%point_count)
+    do k = 1, size(tasks)
+      cost(k) = real(cost_of(plan, tasks(k)), dp)
+    end do
+    longest = maxval(cost)
+    do k = 1, size(tasks)
+      associate (point => (tasks(k) - 1)/plan%replicas, replica => mod(tasks(k) - 1, &
+        plan%replicas), class => min(classes - 1, floor(log(longest/cost(k))/log(2.0_dp))))
+        place(k) = (real(replica, dp)*classes + class)*2.0_dp**bits + reversed_bits(point, bits)
+      end associate
+    end do
+    if (count > 0) call sort_order(order, place, 1_c_size_t, count)
+    tasks = tasks(order + 1)
+    cost = cost(order + 1)
+    count = min(count, int(last_tasks, c_size_t)*ranks)
+    associate (last => tasks(size(tasks) - count + 1:))
+      if (count > 0) call sort_order(order, -cost(size(tasks) - count + 1:), 1_c_size_t, count)
+      last = last(order(:count) + 1)
+    end associate
+  end subroutine order_tasks
+
+  !> A number of so many bits, in the opposite order.
+  pure integer function reversed_bits(number, bits) result(reversed)
+    integer, intent(in) :: number, bits
     integer :: k
 
-    do k = 1, size(tasks)
-      cost(k) = cost_of(plan, tasks(k))
+    reversed = 0
+    do k = 0, bits - 1
+      if (btest(number, k)) reversed = ibset(reversed, bits - 1 - k)
     end do
-    if (size(tasks) > 1) call sort_by_cost(tasks, cost)
-  end subroutine sort_longest_first
-
-  !> Stable merge sort of `tasks` by falling `cost`.
-  pure recursive subroutine sort_by_cost(tasks, cost)
-    integer, intent(inout) :: tasks(:)
-    real(wp), intent(inout) :: cost(:)
-    integer :: left(size(tasks)/2)
-    real(wp) :: left_cost(size(tasks)/2)
-    integer :: half, i, j, k
-
-    if (size(tasks) < 2) return
-    half = size(tasks)/2
-    call sort_by_cost(tasks(:half), cost(:half))
-    call sort_by_cost(tasks(half + 1:), cost(half + 1:))
-    left = tasks(:half)
-    left_cost = cost(:half)
-    i = 1
-    j = half + 1
-    do k = 1, size(tasks)
-      if (i > half) exit
-      if (j <= size(tasks)) then
-        if (cost(j) > left_cost(i)) then
-          tasks(k) = tasks(j)
-          cost(k) = cost(j)
-          j = j + 1
-          cycle
-        end if
-      end if
-      tasks(k) = left(i)
-      cost(k) = left_cost(i)
-      i = i + 1
-    end do
-  end subroutine sort_by_cost
+  end function reversed_bits
 
   !> Makes the initial positions and velocities of the particles of a task.
   subroutine initial_particles(task, start, particles, error)
