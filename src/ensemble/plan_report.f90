@@ -5,8 +5,8 @@ module battery_plan_report
   use battery_engine, only: particles_type
   use battery_error, only: error_type
   use battery_json_report, only: write_plan_json
-  use battery_memory_estimate, only: estimate_type, estimate_of, bytes_per_rank, bytes_at_the_end
-  use battery_available_memory, only: free_memory_type, available_memory, size_text
+  use battery_memory_estimate, only: estimate_type, estimate_of, every_rank
+  use battery_available_memory, only: size_text
   use battery_startup, only: progress_type, inspect_output, further_text
   use battery_plan, only: plan_type, point_type, point_of
   use battery_plan_remarks, only: remarks_of
@@ -37,7 +37,6 @@ contains
     !> JSON file for tasks, time and memory; empty: none.
     character(len=*), intent(in) :: json
     type(error_type), allocatable, intent(out) :: error
-    type(free_memory_type) :: available
     type(estimate_type) :: estimate
     type(progress_type) :: progress
     character(len=:), allocatable :: message
@@ -53,8 +52,7 @@ contains
     end if
     if (allocated(error)) return
     if (message /= '') call print_line(message)
-    available = available_memory(sharing)
-    estimate = estimate_of(plan, available)
+    estimate = estimate_of(plan, sharing)
     call print_parameters(plan)
     remarks = remarks_of(plan)
     do at = 1, size(remarks)
@@ -68,11 +66,11 @@ contains
       call print_line('speed:      '//rate_text(rate)//' collisions/s a rank (calibrated)')
     if (size(progress%pending) > 0) call print_line('time:       about '//time_text(0.0_dp) &
       //' on ' //count_text(ranks, 'rank')//further_time())
-    call print_memory(estimate, available)
+    call print_memory(estimate)
     call print_line('results:    '//plan%file)
     call print_line('nothing was written')
     call write_plan_json(json, task_count(plan), size(progress%pending), seconds, &
-      bytes_per_rank(estimate), error)
+      every_rank + estimate%task, error)
 
   contains
 
@@ -110,13 +108,13 @@ contains
 
   !> Prints the memory that a rank needs for tasks, that rank 0 needs at the end, and that is
   !> available.
-  subroutine print_memory(estimate, available)
+  subroutine print_memory(estimate)
     type(estimate_type), intent(in) :: estimate
-    type(free_memory_type), intent(in) :: available
 
-    call print_line('memory:     about '//size_text(bytes_per_rank(estimate)) &
-      //' a rank; rank 0 about ' //size_text(bytes_at_the_end(estimate))//' at the end; ' &
-      //size_text(available%bytes)//' a rank are available ('//available%limit//')')
+    call print_line('memory:     about '//size_text(every_rank + estimate%task) &
+      //' a rank; rank 0 about '//size_text(every_rank + estimate%merge)//' at the end; ' &
+      //size_text(estimate%available%bytes)//' a rank are available (' &
+      //estimate%available%limit//')')
     if (estimate%events > 0.0_dp) call print_line('            events take about ' &
       //size_text(estimate%events) //' of it; a run whose events outgrow the memory fails')
     if (estimate%too_large > 0) call print_line('            '//count_text(estimate%too_large, &
