@@ -2,7 +2,7 @@
 !> and whether these suffice.
 !>
 !> The bytes of each part are upper bounds of measurements: the peak of the process less that of a
-!> run without the part, divided by the number of its elements (docs/ensembles.md has the method).
+!> run without the part, divided by the number of its elements.
 !> `battery_memory_estimate` has the total of a plan.
 module battery_available_memory
   use, intrinsic :: iso_c_binding, only: c_int
