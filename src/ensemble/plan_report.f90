@@ -16,7 +16,7 @@ module battery_plan_report
   use battery_table, only: channel1, channel2
   use battery_tasks, only: task_type, task_count, task_of, initial_particles
   use battery_terminal, only: print_line
-  use battery_text, only: string_type, to_text, count_text
+  use battery_text, only: string_type, to_text, count_text, join
   implicit none (type, external)
   private
   public :: print_plan_report
@@ -135,6 +135,12 @@ contains
     if (plan%first_replicas < plan%replicas) call print_row('precision:', 'the first ' &
       //to_text(plan%first_replicas)//' replicas of a point determine its number, up to ' &
       //to_text(plan%replicas))
+    do at = 1, size(plan%scanned)
+      associate (one => plan%scanned(at))
+        call print_row(trim(merge('scan:', '     ', at == 1)), one%key//' = '//list_text(one%values))
+        if (allocated(one%second)) call print_row('', one%key//'2 = '//list_text(one%second))
+      end associate
+    end do
     call print_row('engine:', plan%engine)
     outline = ''
     if (plan%urn_shape /= 'disc') outline = ', '//outline_text(plan)
@@ -159,6 +165,22 @@ contains
     end if
 
   contains
+
+    !> All values of a list, or of a long one the first, the last and their number.
+    function list_text(values) result(text)
+      real(wp), intent(in) :: values(:)
+      character(len=:), allocatable :: text
+      integer, parameter :: most = 25, first = 3
+      type(string_type) :: words(size(values))
+      integer :: k
+
+      do k = 1, size(values)
+        words(k)%text = to_text(values(k))
+      end do
+      text = join(words, ', ')
+      if (size(values) > most) text = join(words(:first), ', ')//' ... '//words(size(values))%text &
+        //' ('//to_text(size(values))//' values)'
+    end function list_text
 
     !> Least and greatest value of one quantity.
     function range_text(values) result(text)
