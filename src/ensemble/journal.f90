@@ -14,7 +14,7 @@ module battery_journal
   use battery_error, only: error_type, fatal_error
   use battery_paths, only: is_folder
   use battery_fingerprint, only: fingerprint_text
-  use battery_text, only: string_type, to_text
+  use battery_text, only: string_type, to_text, is_one_of
   use battery_clocks, only: wall_seconds
   use battery_files, only: make_folder, sync_file, remove_file, publish_file, file_exists, &
     files_matching
@@ -28,8 +28,8 @@ module battery_journal
   implicit none (type, external)
   private
   public :: journal_type, read_plan, begin_journal, join_journal, rank_file
-  public :: rank_files_in, rank_files_of, task_ids_in, check_lock, check_journal, remove_journal
-  public :: write_finished, sync_finished, write_state, read_state
+  public :: rank_files_in, rank_files_of, states_in, task_ids_in, check_lock, check_journal
+  public :: remove_journal, write_finished, sync_finished, write_state, read_state
 
   !> The journal as one rank accesses it.
   type :: journal_type
@@ -367,6 +367,24 @@ contains
     end do
     numbers = numbers(:found)
   end function numbers_in
+
+  !> Number of tasks that have a saved state.
+  integer function states_in(folder) result(states)
+    !> Folder of a journal, which need not be there.
+    character(len=*), intent(in) :: folder
+    type(string_type), allocatable :: names(:)
+    integer :: k
+
+    names = files_matching(folder, 'task_*.[ab]')
+    states = size(names)
+    ! A task with both generations counts once.
+    do k = 1, size(names)
+      associate (name => names(k)%text)
+        if (name(len(name):) == 'b' .and. is_one_of(name(:len(name) - 1)//'a', names)) &
+          states = states - 1
+      end associate
+    end do
+  end function states_in
 
   !> An error if a folder has the name of a file of the journal.
   subroutine check_journal(folder, error)

@@ -64,7 +64,8 @@ contains
     if (allocated(error)) return
     if (rate > 0.0_dp) &
       call print_row('speed:', rate_text(rate)//' collisions/s a rank (calibrated)')
-    if (size(progress%pending) > 0) call print_row('time:', 'about '//time_text(0.0_dp)//' on ' &
+    if (size(progress%pending) > 0) call print_row('time:', trim(merge('at most', 'about  ', &
+      progress%begun > 0))//' '//time_text(0.0_dp)//' on ' &
       //count_text(ranks, 'rank')//further_time())
     call print_memory(estimate)
     call print_row('results:', plan%file)
