@@ -360,6 +360,7 @@ contains
     do b = 1, self%batches
       associate (v => self%visits(b))
         if (self%precomputes_visits) then
+          ! There is one batch then (`prepare_engine`), and both urns are mirror images.
           call take_or_compute_visits(self%table%urn(1), self%number, self%flight, &
             self%calendar%sorted, self%calendar%particle, v, self%precomputed, &
             self%passage_starts, self%computed_hits)

@@ -22,8 +22,9 @@ module battery_flight
   public :: to_gate, to_periodic_line, counted_in_gate, trapped_in_urn, trapped_in_channel, &
     partial_visit
 
-  !> State of a particle between two of its events. A record fills one cache line: with many
-  !> particles, the cost is that of reading one line per particle.
+  !> State of a particle between two of its events: its entry into a channel, or, if it is trapped
+  !> in the urn or its visit is truncated, an impact there (below). A record fills one cache line:
+  !> with many particles, the cost is that of reading one line per particle.
   type :: flight_type
     !> Time of the next event, for the calendar.
     real(wp) :: due
@@ -48,9 +49,11 @@ module battery_flight
   !> - `to_gate`, `to_periodic_line`: the next event is the entry into a gate, or the crossing of
   !>   the periodic line.
   !> - `counted_in_gate`: inside a gate, counted by it.
-  !> - `trapped_in_urn`: never leaves; the flight holds one impact, as `visits_type` describes it.
+  !> - `trapped_in_urn`: never leaves; the flight holds one impact, as `visits_type` describes it,
+  !>   and its time.
   !> - `trapped_in_channel`: never leaves; time, y and u_y hold, x is stored elsewhere.
-  !> - `partial_visit`: as `trapped_in_urn`, until the next part of the visit is computed.
+  !> - `partial_visit`: as `trapped_in_urn`, until the next part of the visit is computed;
+  !>   `through` is the time from then to the impact.
   integer(int16), parameter :: to_gate = 1, to_periodic_line = 2, counted_in_gate = 3, &
     trapped_in_urn = 4, trapped_in_channel = 5, partial_visit = 6
 
