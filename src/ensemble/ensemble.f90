@@ -130,8 +130,8 @@ contains
         results, failures, error)
       if (stops .and. .not. (quiet .or. allocated(error))) call print_stop(journal%ranks, &
         'what is finished: battery --partial FILE.nml writes it to '//plan%file//'.partial.h5')
-      if (.not. (stops .or. allocated(error))) call print_summary(plan, results, failures, journal%ranks, busy, &
-        wall_seconds() - start_seconds, collisions, all_done, quiet)
+      if (.not. (stops .or. allocated(error))) call print_summary(plan, results, failures, &
+        journal%ranks, busy, wall_seconds() - start_seconds, collisions, all_done, quiet)
       if (.not. allocated(error) .and. exit_code == exit_success) then
         if (all_tasks_complete(results)) then
           call remove_journal(journal%folder, error)
