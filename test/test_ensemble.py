@@ -42,6 +42,7 @@ if TYPE_CHECKING:
     from subprocess import CompletedProcess, Popen
 
 TASKS = 4
+LAST_LINE = "what is finished: battery --partial FILE.nml writes it to out.h5.partial.h5"
 COLLISIONS = 5_000_000
 CASE: dict[str, dict[str, Any]] = {
     "particles": {"number": 200},
@@ -154,12 +155,20 @@ def disturbed(
 def stopped(
     folder: Path, what: signal.Signals, seconds: float, ranks: int = 0, first: int = 0
 ) -> None:
-    """Stop a run by a signal to all ranks, or those from `first` on; it exits with 3."""
+    """Stop a run by a signal to all ranks, or those from `first` on: exit 3, no results yet."""
     ended = disturbed(folder, ranks, seconds, lambda _, numbers: send(numbers[first:], what))
     assert ended.returncode == 3, (ended.returncode, ended.stdout, ended.stderr)
-    with h5py.File(folder / "out.h5") as file:
+    assert ended.stdout.splitlines()[-1] == LAST_LINE
+    assert not (folder / "out.h5").exists()
+    ended = run("--partial", "case.nml", folder=folder)
+    if ended.returncode == 2:
+        assert "no task is finished yet" in ended.stderr
+        return
+    assert ended.returncode == 0, ended.stderr
+    with h5py.File(folder / "out.h5.partial.h5") as file:
         assert np.asarray(file.attrs["status"]).item() in ("partial", b"partial")
         assert set(np.unique(file["task_status"])) <= {0, 2}
+    (folder / "out.h5.partial.h5").unlink()
 
 
 def killed(folder: Path, ranks: int, seconds: float, victim: int | None) -> None:

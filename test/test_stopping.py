@@ -68,6 +68,8 @@ def test_the_signal_that_mpirun_passes_on_loses_nothing(tmp_path: Path) -> None:
     begun = len({path.stem for path in states})
     told = run("--check", "case.nml", folder=tmp_path).stdout
     assert f", {begun} from a saved state\n" in told
+    assert "battery --partial FILE.nml writes it" in ended.stdout
+    assert not (tmp_path / "out.h5").exists()
 
 
 @pytest.mark.parametrize(

@@ -18,8 +18,8 @@ module battery_ensemble
   use battery_plan, only: plan_type
   use battery_startup, only: find_pending_tasks
   use battery_results, only: results_type, all_tasks_complete
-  use battery_signals, only: request_stop_after
-  use battery_summary, only: print_summary
+  use battery_signals, only: request_stop_after, signal_received
+  use battery_summary, only: print_summary, print_stop
   use battery_text, only: string_type
   use battery_task_loop, only: monitor_type, run_tasks
   implicit none (type, external)
@@ -92,7 +92,8 @@ contains
   end subroutine run_ensemble
 
   !> Merges the journal into the results file on rank 0, and prints the summary. The journal is
-  !> removed when the results file has all results.
+  !> removed when the results file has all results. A run that a signal has stopped ends at once,
+  !> without a results file: Open MPI kills its ranks a second later, and `--partial` makes the file.
   subroutine finish_ensemble(plan, journal, task_queue, collisions, busy_seconds, start_seconds, &
     start_date, quiet, exit_code, error)
     type(plan_type), intent(in) :: plan
@@ -111,21 +112,26 @@ contains
     type(error_type), allocatable, intent(out) :: error
     type(results_type) :: results
     type(string_type), allocatable :: failures(:)
-    real(dp) :: busy(3)
-    logical :: all_done
+    real(dp) :: busy(3), signalled(3)
+    logical :: all_done, stops
 
     busy = least_mean_greatest(task_queue%communicator, &
       busy_seconds/max(wall_seconds() - start_seconds, 1.0e-9_dp))
+    signalled = least_mean_greatest(task_queue%communicator, &
+      merge(1.0_dp, 0.0_dp, signal_received()))
     all_done = read_counter(task_queue, tasks_finished) >= task_queue%tasks
+    stops = signalled(3) > 0.0_dp .and. .not. all_done
     exit_code = exit_success
     if (read_counter(task_queue, tasks_failed) > 0) exit_code = exit_failure
     if (.not. all_done) exit_code = exit_stopped_early
     if (task_queue%communicator%rank == 0) then
       call check_lock(journal, error)
-      if (.not. allocated(error)) call merge_results(plan, journal, start_date, results, failures, &
-        error)
-      if (.not. allocated(error)) call print_summary(plan, results, failures, journal%ranks, busy, &
-        wall_seconds() - start_seconds, collisions, all_done, quiet)
+      if (.not. (stops .or. allocated(error))) call merge_results(plan, journal, start_date, &
+        results, failures, error)
+      if (stops .and. .not. (quiet .or. allocated(error))) call print_stop(journal%ranks, &
+        'what is finished: battery --partial FILE.nml writes it to '//plan%file//'.partial.h5')
+      if (.not. (stops .or. allocated(error))) call print_summary(plan, results, failures, &
+        journal%ranks, busy, wall_seconds() - start_seconds, collisions, all_done, quiet)
       if (.not. allocated(error) .and. exit_code == exit_success) then
         if (all_tasks_complete(results)) then
           call remove_journal(journal%folder, error)

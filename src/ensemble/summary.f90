@@ -16,7 +16,7 @@ module battery_summary
   use battery_text, only: string_type, to_text, count_text
   implicit none (type, external)
   private
-  public :: print_summary
+  public :: print_summary, print_stop
 
   !> Up to this many tasks are printed one by one; up to this many points, with averages over their
   !> replicas.
@@ -85,11 +85,24 @@ contains
       call print_line('some particles are on orbits that never leave: see the dataset trapped')
     if (results%short_tasks > 0) call print_line(to_text(results%short_tasks)//' of the complete ' &
       //'tasks ended before the last of snapshot_times: the later snapshots are NaN')
-    if (.not. all_done) call print_line('stopped early, the state is saved: the same command ' &
-      //'goes on')
-    if (.not. all_done .and. ranks > 1) call print_line(ways_to_stop)
-    call print_line('results: '//plan%file)
+    if (all_done) then
+      call print_line('results: '//plan%file)
+    else
+      call print_stop(ranks, 'results: '//plan%file)
+    end if
   end subroutine print_summary
+
+  !> Prints the last lines of a run that was stopped early.
+  subroutine print_stop(ranks, where_results_are)
+    !> Number of ranks.
+    integer, intent(in) :: ranks
+    !> The last line.
+    character(len=*), intent(in) :: where_results_are
+
+    call print_line('stopped early, the state is saved: the same command goes on')
+    if (ranks > 1) call print_line(ways_to_stop)
+    call print_line(where_results_are)
+  end subroutine print_stop
 
   !> Which of `names` the tables show: chi and the polarised current where they are known, the
   !> currents of the channels where a task has an error of them, or nothing else is known.
