@@ -116,21 +116,6 @@ def test_each_way_to_the_present_keeps_volume_and_both_end_there() -> None:
         assert pasts.present(other, 1) == pytest.approx(end, abs=1e-12)
 
 
-def test_picture_of_the_pasts_ends_in_one_state() -> None:
-    panels = pasts.figure_pasts().axes
-    ends = [
-        sorted(
-            (float(line.get_ydata()[0]), line.get_color())
-            for line in axes.lines
-            if line.get_marker() == "o" and line.get_xdata()[0] == pasts.PAST_TIME
-        )
-        for axes in panels
-    ]
-    assert [round(x, 9) for x, _ in ends[0]] == [0.6, 0.8, 1.0]
-    for one, other in zip(*ends, strict=True):
-        assert one == (pytest.approx(other[0]), other[1])
-
-
 def test_reversals_of_one_run_count_as_one_in_the_error() -> None:
     random = np.random.default_rng(4)
     chance = random.uniform(0.2, 0.8, 400)  # of a run, whose reversals share it
