@@ -140,7 +140,8 @@ contains
       //to_text(plan%replicas))
     do at = 1, size(plan%scanned)
       associate (one => plan%scanned(at))
-        call print_row(trim(merge('scan:', '     ', at == 1)), one%key//' = '//list_text(one%values))
+        call print_row(trim(merge('scan:', '     ', at == 1)), one%key//' = ' &
+          //list_text(one%values))
         if (allocated(one%second)) call print_row('', one%key//'2 = '//list_text(one%second))
       end associate
     end do
