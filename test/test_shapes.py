@@ -195,6 +195,25 @@ def test_who_begins_at_the_end_or_along_an_opening_is_where_it_is(
     assert places["excursion"] == pytest.approx(places["collision"], abs=1e-9)
 
 
+@pytest.mark.parametrize("engine", ["excursion", "collision", "synchronous"])
+def test_from_corner_to_corner_nobody_flies_outside(tmp_path: Path, engine: str) -> None:
+    """Turned by a sharp corner along the line that joins it to another one, over a notch."""
+    (tmp_path / "start.txt").write_text("-1.5 -0.5 0.6 0.8\n")
+    text = namelist(
+        table={"urn_shape": "'polygon'", "urn_vertices": "1, -1, 1, 1, 0, 0.5, -1, 1, -1, -1",
+               "channel1_width": 0.5, "channel1_length": 0.75, "channel2_width": 0.25},
+        particles={"number": 1, "initial_file": "'start.txt'"}, gate={"threshold": 1},
+        run={"engine": f"'{engine}'", "duration": 3}, output={"final_state": ".true."},
+    )  # fmt: skip
+    (tmp_path / "a.nml").write_text(text)
+    assert run("--quiet", "a.nml", folder=tmp_path).returncode == 0
+    with h5py.File(tmp_path / "battery.h5") as file:
+        place = [file[f"final/{name}"][0, 0, 0] for name in "xy"]
+    # Either side of the corner will do: both paths are known.
+    ends = np.array([[-1.05, 0.1], [-0.69, -0.08]])
+    assert np.abs(ends - place).sum(axis=1).min() < 1e-9
+
+
 def test_who_runs_along_a_wall_into_its_corner_is_not_trapped(tmp_path: Path) -> None:
     """Two hits in one corner, with directions that rounding alone tells apart, are no orbit."""
     (tmp_path / "start.txt").write_text("2.125 0.5 -0.6 0.8\n")
