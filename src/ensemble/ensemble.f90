@@ -95,7 +95,7 @@ contains
 
   !> Merges the journal into the results file on rank 0, and prints the summary. The journal is
   !> removed when the results file has all results. A run that a signal has stopped ends at once,
-  !> without a results file: Open MPI kills its ranks a second later, and `--partial` makes it.
+  !> without a results file: Open MPI kills its ranks a second later; `--partial` makes the file.
   subroutine finish_ensemble(plan, journal, sources, task_queue, collisions, busy_seconds, &
     start_seconds, start_date, quiet, exit_code, error)
     type(plan_type), intent(in) :: plan

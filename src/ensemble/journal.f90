@@ -14,7 +14,7 @@ module battery_journal
   use battery_error, only: error_type, fatal_error
   use battery_paths, only: is_folder
   use battery_fingerprint, only: fingerprint_text
-  use battery_text, only: string_type, to_text
+  use battery_text, only: string_type, to_text, is_one_of
   use battery_clocks, only: wall_seconds
   use battery_files, only: make_folder, sync_file, remove_file, publish_file, file_exists, &
     files_matching
@@ -28,7 +28,7 @@ module battery_journal
   implicit none (type, external)
   private
   public :: journal_type, find_journal, begin_journal, join_journal, rank_file, rank_files_of
-  public :: task_ids_of, check_lock, check_journal, remove_journal
+  public :: states_in, task_ids_of, check_lock, check_journal, remove_journal
   public :: write_finished, sync_finished, write_state, read_state
 
   !> The journal as one rank accesses it.
@@ -354,6 +354,23 @@ contains
     end do
     numbers = numbers(:found)
   end function numbers_in
+
+  !> Number of tasks that have a saved state.
+  pure integer function states_in(journal) result(states)
+    !> From `find_journal`.
+    type(journal_type), intent(in) :: journal
+    integer :: k
+
+    states = 0
+    do k = 1, size(journal%names)
+      associate (name => journal%names(k)%text)
+        if (index(name, 'task_') /= 1) cycle
+        ! A task with both generations counts once.
+        if (name(len(name):) == 'a' .or. .not. is_one_of(name(:len(name) - 1)//'a', &
+          journal%names)) states = states + 1
+      end associate
+    end do
+  end function states_in
 
   !> An error if a folder has the name of a file of the journal.
   subroutine check_journal(journal, error)

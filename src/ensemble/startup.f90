@@ -8,7 +8,7 @@ module battery_startup
   use battery_error, only: error_type, fatal_error, exit_failure, exit_bad_input
   use battery_files, only: file_exists, remove_file, publish_file, file_stamp_type
   use battery_journal, only: journal_type, find_journal, task_ids_of, begin_journal, join_journal, &
-    check_journal, remove_journal
+    states_in, check_journal, remove_journal
   use battery_lock_file, only: lock_type, acquire_lock, release_lock
   use battery_machine, only: host_name
   use battery_merge, only: collect_results, sources_type, open_sources, close_sources, &
@@ -36,6 +36,8 @@ module battery_startup
     logical :: complete = .false.
     !> Number of finished tasks.
     integer :: finished = 0
+    !> Number of tasks that have a saved state, from which they go on.
+    integer :: begun = 0
     !> Numbers of the tasks that are known to be needed and are not finished.
     integer, allocatable :: pending(:)
     !> Largest number of tasks that may be needed besides, if a precision is required.
@@ -200,6 +202,7 @@ contains
       replicas_needed, error)
     if (allocated(error)) return
     progress%finished = count(results%task_status == task_complete)
+    progress%begun = states_in(journal)
     if (progress%complete) then
       message = plan%file//' is complete; --overwrite runs it again'
       return
@@ -221,13 +224,15 @@ contains
       //further_text(progress)
   end subroutine inspect_output
 
-  !> Text for the number of tasks that may be needed besides those known to be needed; empty: none.
+  !> Text for the tasks that go on from a saved state, and for the number that may be needed besides
+  !> those known to be needed; empty: none.
   function further_text(progress) result(text)
     type(progress_type), intent(in) :: progress
     character(len=:), allocatable :: text
 
     text = ''
-    if (progress%further > 0) text = ', and up to '//to_text(progress%further) &
+    if (progress%begun > 0) text = ', '//to_text(progress%begun)//' from a saved state'
+    if (progress%further > 0) text = text//', and up to '//to_text(progress%further) &
       //' more as the first replicas tell'
   end function further_text
 

@@ -2,7 +2,7 @@
 !> spaces and minus signs of word processors, files in UTF-16, line ends of old systems. They are
 !> named with their place, since they cannot be seen.
 module battery_foreign_bytes
-  use battery_line_problems, only: line_problems_type, add_line_problem, line_problems_text
+  use battery_findings, only: findings_type, add_finding, findings_text
   use battery_text, only: to_text, new_line_character
   implicit none (type, external)
   private
@@ -37,7 +37,7 @@ contains
     !> Text of the whole file, and its name.
     character(len=*), intent(in) :: text, name
     character(len=:), allocatable :: message
-    type(line_problems_type) :: problems
+    type(findings_type) :: problems
     character(len=1) :: quote, sign
     logical :: comment
     integer :: at, line, line_start
@@ -56,15 +56,15 @@ contains
       else if (quote /= '') then
         if (sign == quote) quote = ''
       else if (is_foreign(text, at) .and. (sign == return_sign .or. .not. comment)) then
-        call add_line_problem(problems, line, foreign_byte_text(text(line_start:)) &
-          //'; allowed: ASCII outside of comments and texts in quotes')
+        call add_finding(problems, line, foreign_byte_text(text(line_start:)), &
+          'ASCII outside of comments and texts in quotes')
         exit
       else if (.not. comment) then
         comment = sign == '!'
         if (sign == '"' .or. sign == achar(39)) quote = sign
       end if
     end do
-    message = line_problems_text(problems, name)
+    message = findings_text(problems, name)
   end function namelist_problem
 
   !> Whether the byte at a position is neither printable ASCII nor a blank, nor part of a line end.

@@ -6,7 +6,7 @@ module battery_settings
   use battery_kinds, only: wp, int32, int64
   use battery_text, only: string_type, to_text, lower_case, join, closest_word
   use battery_numbers, only: read_whole, read_decimal
-  use battery_line_problems, only: line_problems_type, add_line_problem, displayable_text
+  use battery_findings, only: findings_type, add_finding
   use battery_namelist_text, only: value_type, entry_type, group_type, split_namelist, &
     written_text
   use battery_key, only: key_type, distinct_names, find_key, allowed_text, is_beyond, whole_key, &
@@ -34,7 +34,7 @@ module battery_settings
   !> All keys with their values, and the problems.
   type :: settings_type
     type(setting_type), allocatable :: all(:)
-    type(line_problems_type) :: problems
+    type(findings_type) :: problems
   end type settings_type
 
   !> Gets the `value` of a key; if the key has none, `value` does not change. `group` and `name` are
@@ -71,9 +71,8 @@ contains
         meant(at) = meant_key(keys, entries(at))
         call refuse_key(keys, entries(at), meant(at), settings%problems)
       else if (settings%all(place)%given) then
-        call add_line_problem(settings%problems, entries(at)%line, entry_name(entries(at)) &
-          //' = '//written_text(entries(at)%values)//': is given again; allowed: once (line ' &
-          //to_text(settings%all(place)%line)//')')
+        call refuse_entry(entries(at), 'is given again', 'once (line ' &
+          //to_text(settings%all(place)%line)//')', settings%problems)
       else if (entries(at)%refused) then
         meant(at) = place
       else
@@ -97,7 +96,7 @@ contains
   subroutine check_groups(keys, groups, problems)
     type(key_type), intent(in) :: keys(:)
     type(group_type), intent(in) :: groups(:)
-    type(line_problems_type), intent(inout) :: problems
+    type(findings_type), intent(inout) :: problems
     type(string_type), allocatable :: names(:)
     !> Line in which each group is first; 0: none.
     integer, allocatable :: first_line(:)
@@ -110,12 +109,12 @@ contains
         if (names(name)%text == groups(at)%name) exit
       end do
       if (name > size(names)) then
-        call add_line_problem(problems, groups(at)%line, '&'//displayable_text(groups(at)%name) &
-          //': there is no such group'//suggestion('&', closest_word(groups(at)%name, names)) &
-          //'; allowed: &'//join(names, ', &'))
+        call add_finding(problems, groups(at)%line, 'there is no such group' &
+          //suggestion('&', closest_word(groups(at)%name, names)), '&'//join(names, ', &'), &
+          groups(at)%name)
       else if (first_line(name) > 0) then
-        call add_line_problem(problems, groups(at)%line, '&'//groups(at)%name &
-          //': is given again; allowed: once (line '//to_text(first_line(name))//')')
+        call add_finding(problems, groups(at)%line, 'is given again', 'once (line ' &
+          //to_text(first_line(name))//')', groups(at)%name)
       else
         first_line(name) = groups(at)%line
       end if
@@ -158,7 +157,7 @@ contains
     type(entry_type), intent(in) :: entry
     !> Place of the key that was probably meant; 0: unknown.
     integer, intent(in) :: meant
-    type(line_problems_type), intent(inout) :: problems
+    type(findings_type), intent(inout) :: problems
     character(len=:), allocatable :: hint
 
     if (all(keys%group /= entry%group)) return
@@ -172,9 +171,8 @@ contains
         hint = suggestion('&', trim(keys(meant)%group)//' '//trim(keys(meant)%name))
       end if
     end if
-    call add_line_problem(problems, entry%line, entry_name(entry)//' = ' &
-      //written_text(entry%values) //': there is no such key'//hint//'; allowed: ' &
-      //join(distinct_names(pack(keys%name, keys%group == entry%group)), ', '))
+    call refuse_entry(entry, 'there is no such key'//hint, &
+      join(distinct_names(pack(keys%name, keys%group == entry%group)), ', '), problems)
   end subroutine refuse_key
 
   !> Question whether a name, after its sign (such as `&`), was meant; empty if there is no name.
@@ -186,20 +184,23 @@ contains
     if (name /= '') text = ' (did you mean '//sign//name//'?)'
   end function suggestion
 
-  !> Group and key of an entry, for messages.
-  pure function entry_name(entry) result(name)
+  !> Adds a problem of an entry.
+  subroutine refuse_entry(entry, wrong, allowed, problems)
     type(entry_type), intent(in) :: entry
-    character(len=:), allocatable :: name
+    !> What is wrong with its values, and what is allowed.
+    character(len=*), intent(in) :: wrong, allowed
+    type(findings_type), intent(inout) :: problems
 
-    name = '&'//entry%group//' '//displayable_text(entry%key)
-  end function entry_name
+    call add_finding(problems, entry%line, written_text(entry%values)//': '//wrong, allowed, &
+      entry%group, entry%key)
+  end subroutine refuse_entry
 
   !> Sets a key to its default, which is parsed like an input.
   subroutine set_default(key, setting)
     type(key_type), intent(in) :: key
     type(setting_type), intent(out) :: setting
     type(entry_type) :: entry
-    type(line_problems_type) :: problems
+    type(findings_type) :: problems
 
     setting%key = key
     allocate (setting%integers(0), setting%reals(0))
@@ -221,7 +222,7 @@ contains
   subroutine set_from_entry(entry, setting, problems)
     type(entry_type), intent(in) :: entry
     type(setting_type), intent(inout) :: setting
-    type(line_problems_type), intent(inout) :: problems
+    type(findings_type), intent(inout) :: problems
     character(len=:), allocatable :: wrong
     type(string_type), allocatable :: written(:)
     integer :: at
@@ -242,8 +243,7 @@ contains
       if (wrong == '') setting%canonical = join(written, ' ')
       if (wrong == '' .and. key%is_range) wrong = wrong_range(setting%reals)
       setting%known = wrong == ''
-      if (wrong /= '') call add_line_problem(problems, entry%line, entry_name(entry)//' = ' &
-        //written_text(entry%values)//': '//wrong//'; allowed: '//allowed_text(key))
+      if (wrong /= '') call refuse_entry(entry, wrong, allowed_text(key), problems)
     end associate
   end subroutine set_from_entry
 

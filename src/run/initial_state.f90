@@ -5,8 +5,7 @@ module battery_initial_state
   use battery_file_text, only: read_file
   use battery_foreign_bytes, only: text_start, foreign_byte_text
   use battery_numbers, only: read_decimal
-  use battery_line_problems, only: line_problems_type, add_line_problem, line_problems_text, &
-    displayable_text
+  use battery_findings, only: findings_type, add_finding, findings_text, displayable_text
   use battery_text, only: to_text, new_line_character
   use battery_table, only: table_type, chamber_at, outside, half_length, &
     try_random_point
@@ -119,7 +118,7 @@ contains
     integer, intent(in) :: number
     type(particles_type), intent(out) :: particles
     type(error_type), allocatable, intent(out) :: error
-    type(line_problems_type) :: line_problems
+    type(findings_type) :: findings
     character(len=:), allocatable :: problem, foreign
     real(wp) :: state(4), speed
     integer(int64) :: first, line_start, last, next
@@ -154,7 +153,7 @@ contains
       if (problem /= '') then
         foreign = foreign_byte_text(text(line_start:min(last, len(text, int64))))
         if (foreign /= '') problem = foreign
-        call add_line_problem(line_problems, line, problem)
+        call add_finding(findings, line, problem)
         ! All lines may have such a byte.
         if (foreign /= '') exit
       else if (count <= number) then
@@ -165,10 +164,9 @@ contains
         particles%uy(count) = state(4)/speed
       end if
     end do
-    if (foreign == '' .and. count /= number) call add_line_problem(line_problems, 0, 'has ' &
-      //to_text(count)//' particles; allowed: '//to_text(number)//', as &particles number says')
-    if (line_problems%count > 0) call fatal_error(error, line_problems_text(line_problems, name), &
-      exit_bad_input)
+    if (foreign == '' .and. count /= number) call add_finding(findings, 0, 'has ' &
+      //to_text(count)//' particles', to_text(number)//', as &particles number says')
+    if (findings%count > 0) call fatal_error(error, findings_text(findings, name), exit_bad_input)
   end subroutine parse_particles
 
   !> Whether all particles are inside a table.

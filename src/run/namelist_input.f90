@@ -6,14 +6,15 @@ module battery_namelist_input
   use battery_text, only: to_text, new_line_character
   use battery_table, only: channel1, channel2
   use battery_foreign_bytes, only: namelist_problem, is_results_file
-  use battery_line_problems, only: add_line_problem, line_problems_text, displayable_text
+  use battery_findings, only: finding_type, add_finding, findings_text, displayable_text, &
+    of_missing
   use battery_settings, only: settings_type, read_settings, find_setting, get_value, &
     get_list, get_text
   use battery_key, only: key_type, whole_key, is_beyond, longest_range
   use battery_keys, only: all_keys
   use battery_identity, only: twelve_digits
-  use battery_problems, only: problem_type
-  use battery_plan, only: plan_type, scanned_type, point_text, complete_plan, refuse_value
+  use battery_plan, only: plan_type, scanned_type, points_text, complete_plan, refuse_value, &
+    refuse_key
   implicit none (type, external)
   private
   public :: parse_namelist, check_bytes, fill_plan, set_input_error, differing_keys
@@ -128,20 +129,20 @@ contains
 
     call get_text(settings, 'table', 'urn_shape', plan%urn_shape)
     call get_value(settings, 'table', 'urn_sides', plan%urn_sides)
-    if (is_refused(settings, 'urn_sides')) call refuse_value(plan, 'urn_sides', 'is refused', '')
+    if (is_refused(settings, 'urn_sides')) call refuse_key(plan, 'urn_sides', 'is refused', '')
     do urn = 1, 2
       call get_list(settings, 'table', trim(key(urn)), numbers)
-      if (is_refused(settings, trim(key(urn)))) call refuse_value(plan, trim(key(urn)), &
+      if (is_refused(settings, trim(key(urn)))) call refuse_key(plan, trim(key(urn)), &
         'is refused', '')
       if (size(numbers) == 0) cycle
       if (modulo(size(numbers), 2) /= 0 .and. plan%urn_shape /= 'disc') then
-        call refuse_value(plan, trim(key(urn)), 'has '//to_text(size(numbers))//' numbers', &
+        call refuse_key(plan, trim(key(urn)), 'has '//to_text(size(numbers))//' numbers', &
           'two for each corner, x1, y1, x2, y2, ...')
         cycle
       end if
       plan%outline(urn)%corner = reshape(numbers, [2, size(numbers)/2])
       if (settings%all(find_setting(settings, 'table', 'urn_radius'))%given) call &
-        refuse_value(plan, 'urn_radius', 'is given beside '//trim(key(urn)), 'one of the two')
+        refuse_key(plan, 'urn_radius', 'is given beside '//trim(key(urn)), 'one of the two')
     end do
   end subroutine fill_outlines
 
@@ -177,7 +178,7 @@ contains
             if (size(one%values) == size(plan%scanned(last)%values)) then
               plan%scanned(last)%second = one%values
             else
-              call refuse_value(plan, one%key, 'has '//to_text(size(one%values))//' values', &
+              call refuse_key(plan, one%key, 'has '//to_text(size(one%values))//' values', &
                 to_text(size(plan%scanned(last)%values))//', one for each of ' &
                 //plan%scanned(last)%key)
             end if
@@ -201,7 +202,7 @@ contains
     allocate (values(0))
     associate (list => settings%all(at), range => settings%all(at + 1))
       if (list%given .and. range%given) then
-        call refuse_value(plan, trim(range%key%name), 'is given beside '//trim(list%key%name), &
+        call refuse_key(plan, trim(range%key%name), 'is given beside '//trim(list%key%name), &
           'one of the two')
       else if (list%known) then
         ! The numbers of a key are either reals or integers.
@@ -287,21 +288,21 @@ contains
     type(plan_type), intent(inout) :: plan
 
     if (settings%all(find_setting(settings, 'precision', 'largest_replicas'))%given .and. &
-      .not. any(plan%precision > 0.0_wp)) call refuse_value(plan, 'largest_replicas', &
+      .not. any(plan%precision > 0.0_wp)) call refuse_key(plan, 'largest_replicas', &
       'is given without a precision', 'beside chi_replica_error or polarised_current_replica_error')
     if (.not. plan%duration > 0.0_wp) return
     if (settings%all(find_setting(settings, 'run', 'collisions'))%given) &
-      call refuse_value(plan, 'collisions', 'is given beside duration', 'one of the two')
+      call refuse_key(plan, 'collisions', 'is given beside duration', 'one of the two')
     if (settings%all(find_setting(settings, 'run', 'transient_collisions'))%given) call &
-      refuse_value(plan, 'transient_collisions', 'is given beside duration', 'transient_duration')
+      refuse_key(plan, 'transient_collisions', 'is given beside duration', 'transient_duration')
   end subroutine check_combinations
 
   !> Adds a problem of the plan to the settings, at the line of its key.
   subroutine add_problem(settings, plan, problem)
     type(settings_type), intent(inout) :: settings
     type(plan_type), intent(in) :: plan
-    type(problem_type), intent(in) :: problem
-    character(len=:), allocatable :: joint
+    type(finding_type), intent(in) :: problem
+    type(finding_type) :: placed
     logical, allocatable :: refused(:)
     integer :: place, next
 
@@ -314,33 +315,16 @@ contains
       ! may be given in another form: as a list, as a fraction.
       refused = all%given .and. .not. all%known
       if (refused(place)) return
-      if (problem%value == 'is missing' .and. any(refused .and. index(all%key%name, problem%key) &
+      if (problem%kind == of_missing .and. any(refused .and. index(all%key%name, problem%key) &
         == 1)) return
-      joint = ' = '
-      if (index(problem%value, 'is ') == 1 .or. index(problem%value, 'has ') == 1) joint = ' '
-      call add_line_problem(settings%problems, merge(all(place)%line, 0, all(place)%given), '&' &
-        //trim(all(place)%key%group)//' '//trim(all(place)%key%name)//joint//problem%value &
-        //'; allowed: '//problem%allowed//place_text(plan, problem))
+      placed = problem
+      if (all(place)%given) placed%line = all(place)%line
+      placed%group = trim(all(place)%key%group)
+      placed%key = trim(all(place)%key%name)
+      placed%allowed = problem%allowed//points_text(plan, problem)
+      call add_finding(settings%problems, placed)
     end associate
   end subroutine add_problem
-
-  !> Text for the points of the scan that have a problem, if only some have it.
-  pure function place_text(plan, problem) result(text)
-    type(plan_type), intent(in) :: plan
-    type(problem_type), intent(in) :: problem
-    character(len=:), allocatable :: text, first, last
-
-    text = ''
-    if (problem%points == 0 .or. problem%points == plan%checked_points) return
-    text = ' ('//to_text(problem%points)//' of '//to_text(plan%checked_points)//' points'
-    first = point_text(plan, problem%first_point, problem%key)
-    last = point_text(plan, problem%last_point, problem%key)
-    ! Where only the key itself is scanned, its value has been told.
-    if (first /= '' .and. problem%points == 1) text = text//': '//first
-    if (first /= '' .and. problem%points > 1) text = text//', the first: '//first &
-      //', the last: '//last
-    text = text//')'
-  end function place_text
 
   !> Makes one error from all problems, in the order of the lines; none if there are none. If
   !> several problems belong to points of the scan, the first line has the number of invalid points.
@@ -356,14 +340,13 @@ contains
       text = to_text(plan%of_points%points)//' of '//to_text(plan%checked_points) &
         //' points of the scan cannot be simulated'
       if (plan%of_points%more_values) text = text//'; the first of them:'
-      call add_line_problem(settings%problems, 0, text)
+      call add_finding(settings%problems, 0, text)
     end if
     do at = 1, size(plan%problems)
       call add_problem(settings, plan, plan%problems(at))
     end do
     if (settings%problems%count > 0) &
-      call fatal_error(error, line_problems_text(settings%problems, plan%input_file), &
-      exit_bad_input)
+      call fatal_error(error, findings_text(settings%problems, plan%input_file), exit_bad_input)
   end subroutine set_input_error
 
   !> Keys in which two inputs differ, one per line with both values; empty if they describe the same

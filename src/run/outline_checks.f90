@@ -7,7 +7,7 @@ module battery_outline_checks
   use battery_corners, only: enclosed_area, reversed_corners, next_corner, distance_to_side, &
     sides_meet, side_distance, side_on_axis
   use battery_polygon, only: upright
-  use battery_plan, only: plan_type, point_type, refuse_value, is_scanned, corners_of
+  use battery_plan, only: plan_type, point_type, refuse_value, refuse_key, is_scanned, corners_of
   use battery_text, only: to_text
   implicit none (type, external)
   private
@@ -70,25 +70,25 @@ contains
         polygons)
       do urn = 1, 2
         if (allocated(plan%outline(urn)%corner)) &
-          call refuse_value(plan, trim(key_of(urn)), 'is given', polygons)
+          call refuse_key(plan, trim(key_of(urn)), 'is given', polygons)
       end do
       return
     end if
     if (plan%urn_sides > 0) then
       if (modulo(plan%urn_sides, 2) /= 0) call refuse_value(plan, 'urn_sides', &
         to_text(plan%urn_sides), 'even numbers, for an upright side on either side')
-      if (has_outline(plan)) call refuse_value(plan, 'urn_sides', 'is given beside corners', &
+      if (has_outline(plan)) call refuse_key(plan, 'urn_sides', 'is given beside corners', &
         'urn_sides with urn_radius, or urn_vertices')
     else if (.not. allocated(plan%outline(1)%corner) .and. has_valid_outlines(plan)) then
       call refuse_value(plan, 'urn_shape', '''polygon''', &
         'with urn_vertices or urn_sides beside it')
     end if
-    if (plan%shape == 'urn' .and. allocated(plan%outline(2)%corner)) call refuse_value(plan, &
+    if (plan%shape == 'urn' .and. allocated(plan%outline(2)%corner)) call refuse_key(plan, &
       'urn2_vertices', 'is given', 'nothing, since the shape ''urn'' has one urn')
     if (.not. has_outline(plan)) return
-    if (is_scanned(plan, 'urn_radius')) call refuse_value(plan, 'urn_radius', &
+    if (is_scanned(plan, 'urn_radius')) call refuse_key(plan, 'urn_radius', &
       'is scanned beside urn_vertices', 'urn_sides, of which urn_radius is the size')
-    if (is_scanned(plan, 'urn_radius2')) call refuse_value(plan, 'urn_radius2', &
+    if (is_scanned(plan, 'urn_radius2')) call refuse_key(plan, 'urn_radius2', &
       'is scanned beside urn_vertices', 'urn_sides, of which urn_radius is the size')
   end subroutine check_keys
 
@@ -105,19 +105,19 @@ contains
     associate (corner => plan%outline(urn)%corner)
       n = size(corner, 2)
       if (n < 3) then
-        call refuse_value(plan, key, 'has '//to_text(n)//merge(' corner ', ' corners', n == 1), &
+        call refuse_key(plan, key, 'has '//to_text(n)//merge(' corner ', ' corners', n == 1), &
           'three corners or more')
         return
       end if
       extent = extent_of(corner)
       if (maxval(abs(corner)) > greatest_radius .or. extent < 1.0_wp/greatest_radius) then
-        call refuse_value(plan, key, 'is '//to_text(extent)//' wide, and reaches to ' &
+        call refuse_key(plan, key, 'is '//to_text(extent)//' wide, and reaches to ' &
           //to_text(maxval(abs(corner))), 'numbers whose fourth powers are finite')
         return
       end if
       do k = 1, n
         if (norm2(corner(:, next_corner(k, n)) - corner(:, k)) < finest*extent) call &
-          refuse_value(plan, key, 'has '//side_text(k, n)//', which has no length', 'sides from ' &
+          refuse_key(plan, key, 'has '//side_text(k, n)//', which has no length', 'sides from ' &
           //to_text(finest*extent)//' on, which is '//to_text(finest)//' of its width')
       end do
       if (size(plan%problems) > before) return
@@ -144,7 +144,7 @@ contains
     do k = 1, n
       do j = k + 1, n
         if (gap_between(k, j) >= least) cycle
-        call refuse_value(plan, key, 'has '//side_text(k, n)//', which meets '//side_text(j, n), &
+        call refuse_key(plan, key, 'has '//side_text(k, n)//', which meets '//side_text(j, n), &
           'sides that are '//to_text(least)//' apart, which is '//to_text(finest) &
           //' of its width, but for the corner that they share')
         return
@@ -196,7 +196,7 @@ contains
         else
           what = 'has '//side_text(side, n)//', which is not upright'
         end if
-        call refuse_value(plan, trim(key_of(urn)), what//', where channel '//to_text(channel) &
+        call refuse_key(plan, trim(key_of(urn)), what//', where channel '//to_text(channel) &
           //' is to begin', 'an upright side that the axis y = 0 crosses farthest to the ' &
           //trim(merge('right', 'left ', channel == 1)))
       end do
@@ -262,7 +262,7 @@ contains
     beyond = 0.5_wp*point%channel(channel)%length
     farthest = maxloc(facing(channel)*corner(1, :), dim=1)
     a = relative_corner(farthest)
-    if (a(1) > beyond*(1.0_wp - finest)) call refuse_value(plan, key, 'has corner ' &
+    if (a(1) > beyond*(1.0_wp - finest)) call refuse_key(plan, key, 'has corner ' &
       //to_text(farthest)//', which is '//to_text(a(1))//' beyond the beginning of channel ' &
       //to_text(channel), 'short of its middle, which is '//to_text(beyond)//' beyond')
     do k = 1, n
@@ -272,7 +272,7 @@ contains
       if (max(a(1), b(1)) <= 0.0_wp) cycle
       if (sides_meet(a, b, [0.0_wp, half], [beyond, half]) .or. sides_meet(a, b, [0.0_wp, -half], &
         [beyond, -half]) .or. (abs(a(2)) <= half .and. a(1) >= 0.0_wp .and. a(1) <= beyond)) then
-        call refuse_value(plan, key, 'has '//side_text(k, n)//', which lies in channel ' &
+        call refuse_key(plan, key, 'has '//side_text(k, n)//', which lies in channel ' &
           //to_text(channel), 'sides beside the channel')
         return
       end if

@@ -16,13 +16,14 @@ module battery_plan
   use battery_engine, only: particles_type
   use battery_simulation, only: run_type, setup_type
   use battery_identity, only: identity_of
-  use battery_problems, only: problem_type, point_problems_type
+  use battery_findings, only: finding_type, point_findings_type, finding_of, remark, of_value, &
+    of_state
   use battery_text, only: to_text
   implicit none (type, external)
   private
-  public :: plan_type, point_type, scanned_type, complete_plan, refuse_value
+  public :: plan_type, point_type, scanned_type, complete_plan, refuse_value, refuse_key
   public :: corners_of
-  public :: point_of, point_text, table_of, setup_of, is_scanned, values_of, rounded
+  public :: point_of, point_text, points_text, table_of, setup_of, is_scanned, values_of, rounded
 
   !> Value of whole numbers and shares that were not given.
   integer, parameter :: not_given = -1
@@ -83,9 +84,9 @@ module battery_plan
     logical :: final_state = .false.
     real(wp) :: wall_minutes = 0.0_wp, checkpoint_minutes = 0.0_wp
     !> Problems of the plan.
-    type(problem_type), allocatable :: problems(:)
+    type(finding_type), allocatable :: problems(:)
     !> Problems of points of the scan, and number of points checked.
-    type(point_problems_type) :: of_points
+    type(point_findings_type) :: of_points
     integer :: checked_points = 0
     !> Number of points of the scan, from `complete_plan`; 0 if there are problems.
     integer :: point_count = 0
@@ -111,8 +112,23 @@ contains
     !> Name of the key, its value, and what is allowed instead.
     character(len=*), intent(in) :: key, value, allowed
 
-    plan%problems = [plan%problems, problem_type(key, value, allowed, is_scanned(plan, key))]
+    call refuse_key(plan, key, value, allowed, of_value)
   end subroutine refuse_value
+
+  !> Adds a problem to a plan: a key that is missing, or that must not be given.
+  pure subroutine refuse_key(plan, key, state, allowed, kind)
+    type(plan_type), intent(inout) :: plan
+    !> Name of the key, its state, such as `is missing`, and what is allowed instead.
+    character(len=*), intent(in) :: key, state, allowed
+    !> Kind of the finding, if not `of_state`.
+    integer, intent(in), optional :: kind
+    type(finding_type) :: finding
+
+    finding = finding_of(key, state, allowed, of_state)
+    if (present(kind)) finding%kind = kind
+    finding%scanned = is_scanned(plan, key)
+    plan%problems = [plan%problems, finding]
+  end subroutine refuse_key
 
   !> Whether a key is scanned.
   pure logical function is_scanned(plan, key) result(yes)
@@ -210,6 +226,27 @@ contains
     end subroutine prepend_value
 
   end function point_text
+
+  !> Text for the points of the scan that a finding is about, if it is about some only.
+  pure function points_text(plan, finding) result(text)
+    type(plan_type), intent(in) :: plan
+    type(finding_type), intent(in) :: finding
+    character(len=:), allocatable :: text, first
+
+    text = ''
+    if (finding%points == 0 .or. finding%points == plan%checked_points) return
+    text = ' ('//to_text(finding%points)//' of '//to_text(plan%checked_points)//' points'
+    first = point_text(plan, finding%first_point, finding%key)
+    ! Where only the key itself is scanned, its value has been told.
+    if (first /= '' .and. finding%points == 1 .and. finding%severity /= remark) then
+      text = text//': '//first
+    else if (first /= '') then
+      text = text//', the first: '//first
+      if (finding%severity /= remark) text = text//', the last: '//point_text(plan, &
+        finding%last_point, finding%key)
+    end if
+    text = text//')'
+  end function points_text
 
   !> Sets the value of a scanned key at a point.
   pure subroutine set_value(point, key, value)

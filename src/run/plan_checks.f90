@@ -9,7 +9,7 @@ submodule (battery_plan) battery_plan_checks
   use battery_table, only: longest_run
   use battery_gsl, only: sort_order
   use battery_identity, only: twelve_digits
-  use battery_problems, only: add_point_problems, reported_problems
+  use battery_findings, only: add_point_findings, reported_findings, of_missing
   use battery_outline_checks, only: check_outlines, check_outline_at, has_outline, &
     has_valid_outlines
   use battery_bounds, only: bounds_type, bounds_text, can_count_hits, finest, greatest_radius, &
@@ -49,16 +49,17 @@ contains
 
     associate (base => plan%base)
       if (base%number == not_given .and. .not. is_scanned(plan, 'number')) &
-        call refuse_value(plan, 'number', 'is missing', 'one whole number from 1 up')
+        call refuse_key(plan, 'number', 'is missing', 'one whole number from 1 up', of_missing)
       as_number = base%threshold(1) /= not_given .or. is_scanned(plan, 'threshold')
       as_second = is_scanned(plan, 'threshold2')
       as_fraction = base%threshold_fraction(1) >= 0.0_wp .or. is_scanned(plan, 'threshold_fraction')
-      if (.not. (as_number .or. as_fraction)) call refuse_value(plan, 'threshold', 'is missing', &
-        'one whole number or two from 0 up, or threshold_fraction, or a list of either in &scan')
-      if ((as_number .or. as_second) .and. as_fraction) call refuse_value(plan, &
+      if (.not. (as_number .or. as_fraction)) call refuse_key(plan, 'threshold', 'is missing', &
+        'one whole number or two from 0 up, or threshold_fraction, or a list of either in &scan', &
+        of_missing)
+      if ((as_number .or. as_second) .and. as_fraction) call refuse_key(plan, &
         'threshold_fraction', 'is given beside threshold', 'one of the two')
       if (base%urn1_number /= not_given .and. (base%urn1_fraction >= 0.0_wp &
-        .or. is_scanned(plan, 'urn1_fraction'))) call refuse_value(plan, 'urn1_number', &
+        .or. is_scanned(plan, 'urn1_fraction'))) call refuse_key(plan, 'urn1_number', &
         'is given beside urn1_fraction', 'one of the two')
     end associate
     if (plan%shape == 'urn') then
@@ -81,7 +82,7 @@ contains
     subroutine refuse_scan(key, reason)
       character(len=*), intent(in) :: key, reason
 
-      if (is_scanned(plan, key)) call refuse_value(plan, key, 'is scanned', 'nothing, since ' &
+      if (is_scanned(plan, key)) call refuse_key(plan, key, 'is scanned', 'nothing, since ' &
         //reason)
     end subroutine refuse_scan
 
@@ -107,8 +108,8 @@ contains
         'below collisions, which is '//to_text(plan%collisions))
     end if
     if (has_step(plan%engine) .and. .not. plan%time_step > 0.0_wp) &
-      call refuse_value(plan, 'time_step', 'is missing', &
-      'one number above 0, since the engine is '''//plan%engine//'''')
+      call refuse_key(plan, 'time_step', 'is missing', &
+      'one number above 0, since the engine is '''//plan%engine//'''', of_missing)
   end subroutine check_length
 
   !> Checks that a required precision has enough first replicas to estimate their scatter.
@@ -234,7 +235,7 @@ contains
   !> is no other problem.
   subroutine check_points(plan)
     type(plan_type), intent(inout) :: plan
-    type(problem_type), allocatable :: others(:)
+    type(finding_type), allocatable :: others(:)
     class(engine_type), allocatable :: engine
     type(error_type), allocatable :: error
     logical :: outlines_valid
@@ -252,12 +253,12 @@ contains
         call check_scatterers(plan, point_of(plan, at))
       end if
       if (size(plan%problems) == 0) cycle
-      call add_point_problems(plan%of_points, plan%problems, at)
+      call add_point_findings(plan%of_points, plan%problems, at)
       deallocate (plan%problems)
       allocate (plan%problems(0))
     end do
     plan%checked_points = plan%point_count
-    plan%problems = [others, reported_problems(plan%of_points)]
+    plan%problems = [others, reported_findings(plan%of_points)]
   end subroutine check_points
 
   !> Checks one point: lengths, times, numbers of particles.
@@ -305,7 +306,7 @@ contains
 
     if (size(plan%scatterers) == 0) return
     if (plan%shape == 'urn') then
-      call refuse_value(plan, 'scatterers', 'is given', &
+      call refuse_key(plan, 'scatterers', 'is given', &
         'nothing, since the shape ''urn'' has no channel 2')
       return
     end if
@@ -318,7 +319,7 @@ contains
       associate (wrong => scatterer_problems(plan%scatterers, channel, &
         finest*max(maxval(point%urn_radius), point%channel(channel1)%length, channel%length)))
         do at = 1, size(wrong)
-          call refuse_value(plan, wrong(at)%key, wrong(at)%value, wrong(at)%allowed//where)
+          call refuse_key(plan, wrong(at)%key, wrong(at)%value, wrong(at)%allowed//where)
         end do
       end associate
     end associate

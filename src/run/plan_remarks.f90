@@ -3,7 +3,8 @@
 module battery_plan_remarks
   use battery_current_age, only: current_remark
   use battery_kinds, only: wp
-  use battery_plan, only: plan_type, point_type, point_of, point_text
+  use battery_findings, only: finding_type, finding_of, remark, of_sentence
+  use battery_plan, only: plan_type, point_type, point_of, points_text
   use battery_table, only: channel2
   use battery_text, only: string_type, to_text, join
   implicit none (type, external)
@@ -70,14 +71,14 @@ contains
     subroutine add(what, sentence)
       integer, intent(in) :: what
       character(len=*), intent(in) :: sentence
-      type(string_type) :: remark
+      type(finding_type) :: finding
 
       if (points(what) == 0) return
-      remark%text = sentence
-      if (points(what) < plan%point_count) remark%text = sentence//' ('//to_text(points(what)) &
-        //' of '//to_text(plan%point_count)//' points, the first: ' &
-        //point_text(plan, first(what), '')//')'
-      remarks = [remarks, remark]
+      finding = finding_of('', sentence, '', of_sentence)
+      finding%severity = remark
+      finding%points = points(what)
+      finding%first_point = first(what)
+      remarks = [remarks, string_type(sentence//points_text(plan, finding))]
     end subroutine add
 
   end function remarks_of

@@ -7,7 +7,7 @@ module battery_scatterer_checks
   use battery_kinds, only: wp
   use battery_text, only: to_text
   use battery_channel, only: channel_type
-  use battery_problems, only: problem_type
+  use battery_findings, only: finding_type, finding_of, of_state
   implicit none (type, external)
   private
   public :: scatterer_problems
@@ -22,14 +22,14 @@ contains
     type(channel_type), intent(in) :: channel
     !> Least radius, and least gap.
     real(wp), intent(in) :: least
-    type(problem_type), allocatable :: problems(:)
+    type(finding_type), allocatable :: problems(:)
     real(wp) :: half_length, half_width
     character(len=:), allocatable :: gap
     integer :: k, count, other
 
     allocate (problems(0))
     count = size(values)/3
-    if (size(values) /= 3*count) call add('has '//to_text(size(values))//' values', &
+    if (size(values) /= 3*count) call add('is wrong: has '//to_text(size(values))//' values', &
       'three for each disc: z, y, radius')
     if (.not. channel%width > 0.0_wp) then
       call add('is given where channel 2 is closed', 'nothing, or a channel2_width above 0')
@@ -41,19 +41,19 @@ contains
     do k = 1, count
       associate (z => values(3*k - 2), y => values(3*k - 1), radius => values(3*k))
         if (.not. radius >= least) then
-          call add(place(k)//' is too small', 'a radius from '//to_text(least)//' up')
+          call add(' is too small', 'a radius from '//to_text(least)//' up', k)
         else if (.not. abs(y) - radius <= half_width - least) then
-          call add(place(k)//' is outside of the channel', '|y| - radius below channel2_width/2, ' &
-            //'which is '//to_text(half_width)//gap)
+          call add(' is outside of the channel', '|y| - radius below channel2_width/2, ' &
+            //'which is '//to_text(half_width)//gap, k)
         else if (.not. abs(z) + reach_of(y, radius) <= half_length - least) then
-          call add(place(k)//' reaches into an opening', '|z| + '//to_text(reach_of(y, radius)) &
+          call add(' reaches into an opening', '|z| + '//to_text(reach_of(y, radius)) &
             //', which is how far it reaches within the channel, below channel2_length/2, ' &
-            //'which is '//to_text(half_length)//gap)
+            //'which is '//to_text(half_length)//gap, k)
         end if
         do other = 1, k - 1
           if (hypot(values(3*other - 2) - z, values(3*other - 1) - y) >= values(3*other) + radius &
             + least) cycle
-          call add(place(k)//' meets '//place(other), 'discs that are apart'//gap)
+          call add(' meets '//place(other), 'discs that are apart'//gap, k)
         end do
       end associate
     end do
@@ -69,16 +69,15 @@ contains
       reach = sqrt((radius - beyond)*(radius + beyond))
     end function reach_of
 
-    !> Adds a problem.
-    subroutine add(value, allowed)
-      character(len=*), intent(in) :: value, allowed
-      type(problem_type) :: problem
+    !> Adds a problem, of one disc if its index is given.
+    subroutine add(state, allowed, disc)
+      character(len=*), intent(in) :: state, allowed
+      integer, intent(in), optional :: disc
+      character(len=:), allocatable :: all
 
-      problem%key = 'scatterers'
-      problem%value = value
-      if (index(value, 'is ') /= 1) problem%value = 'is wrong: '//value
-      problem%allowed = allowed
-      problems = [problems, problem]
+      all = state
+      if (present(disc)) all = 'is wrong: '//place(disc)//state
+      problems = [problems, finding_of('scatterers', all, allowed, of_state)]
     end subroutine add
 
     !> Text for a disc: its index and its numbers.

@@ -1,0 +1,229 @@
+!> Findings on an input: what is wrong in the text of a file, problems of the plan made from it, and
+!> remarks on the plan. Problems are collected, and reported in the order of lines; a finding on
+!> many points of a scan is reported once.
+module battery_findings
+  use battery_text, only: to_text, new_line_character
+  implicit none (type, external)
+  private
+  public :: finding_type, findings_type, point_findings_type
+  public :: finding_of, add_finding, findings_text, add_point_findings, reported_findings
+  public :: displayable_text
+
+  !> Largest number of problems that are reported one by one, and of problems of points that are
+  !> stored; of the others, only the number.
+  integer, parameter, public :: most_reported = 50
+
+  !> Largest number of letters of a word of the file that a problem quotes.
+  integer, parameter :: most_letters = 80
+
+  !> Severities: a refusal when the text is read, which leaves a key without a value; a problem of
+  !> the plan; a remark on what is allowed.
+  integer, parameter, public :: refusal = 1, problem = 2, remark = 3
+
+  !> Kinds, by what `value` is: the value of the key; a state of the key; the state that the key is
+  !> missing; a sentence.
+  integer, parameter, public :: of_value = 1, of_state = 2, of_missing = 3, of_sentence = 4
+
+  !> One finding. Components that it does not need are not allocated.
+  type :: finding_type
+    !> Line, from 1; 0: it concerns the whole file, or its line is not known yet.
+    integer :: line = 0
+    !> What was found, and what is allowed instead.
+    character(len=:), allocatable :: value, allowed
+    character(len=:), allocatable :: group, key
+    integer :: kind = of_sentence, severity = problem
+    !> Whether the value is one of a scan.
+    logical :: scanned = .false.
+    !> Number of points of the scan that have it, the first of them and the last; 0: it is not about
+    !> points.
+    integer :: points = 0, first_point = 0, last_point = 0
+  end type finding_type
+
+  !> Adds a problem to those of a file: a finding, or one made from its components.
+  interface add_finding
+    module procedure :: add_one, add_refusal
+  end interface add_finding
+
+  !> All problems of one file.
+  type :: findings_type
+    integer :: count = 0
+    !> Problems that are reported: the first ones in the order of lines, and the last one.
+    type(finding_type), private :: first(most_reported), last
+  end type findings_type
+
+  !> Findings on points: those that differ in any component, and those that differ in key or value;
+  !> of each at most `most_reported`.
+  type :: point_findings_type
+    type(finding_type), allocatable :: different(:), of_values(:)
+    !> Number of points with findings; whether there were more of each.
+    integer :: points = 0
+    logical :: more_different = .false., more_values = .false.
+  end type point_findings_type
+
+contains
+
+  !> Adds a problem of a line, or of the whole file if its line is 0.
+  pure subroutine add_one(findings, finding)
+    !> Problems of the file so far.
+    type(findings_type), intent(inout) :: findings
+    type(finding_type), intent(in) :: finding
+    integer :: place, reported
+
+    reported = min(findings%count, most_reported)
+    place = 1 + count(findings%first(:reported)%line <= finding%line)
+    if (place <= most_reported) then
+      reported = min(reported + 1, most_reported)
+      findings%first(place + 1:reported) = findings%first(place:reported - 1)
+      findings%first(place) = finding
+    end if
+    if (finding%line >= findings%last%line) findings%last = finding
+    findings%count = findings%count + 1
+  end subroutine add_one
+
+  !> Adds a refusal.
+  pure subroutine add_refusal(findings, line, value, allowed, group, key)
+    !> Problems of the file so far.
+    type(findings_type), intent(inout) :: findings
+    !> Line of the file, from 1; 0: it concerns the whole file.
+    integer, intent(in) :: line
+    !> What was found.
+    character(len=*), intent(in) :: value
+    !> What is allowed instead; the group, and the key that has the value.
+    character(len=*), intent(in), optional :: allowed, group, key
+    type(finding_type) :: finding
+
+    finding%severity = refusal
+    finding%line = line
+    finding%value = value
+    if (present(allowed)) finding%allowed = allowed
+    if (present(group)) finding%group = group
+    if (present(key)) finding%key = key
+    finding%kind = merge(of_value, of_sentence, present(key))
+    call add_one(findings, finding)
+  end subroutine add_refusal
+
+  !> A finding on a key of a plan, whose line is not known yet.
+  pure type(finding_type) function finding_of(key, value, allowed, kind) result(finding)
+    !> Name of the key, what was found, and what is allowed instead.
+    character(len=*), intent(in) :: key, value, allowed
+    integer, intent(in) :: kind
+
+    finding%key = key
+    finding%value = value
+    finding%allowed = allowed
+    finding%kind = kind
+  end function finding_of
+
+  !> All problems of the file `name`, one per line, in the order of its lines, those without a line
+  !> first; if there are many, the first ones, the last one and the number of all. Empty: none.
+  pure function findings_text(findings, name) result(text)
+    !> Problems of the file.
+    type(findings_type), intent(in) :: findings
+    character(len=*), intent(in) :: name
+    character(len=:), allocatable :: text
+    integer :: at
+
+    text = ''
+    do at = 1, min(findings%count, most_reported)
+      if (at > 1) text = text//new_line_character
+      text = text//one_text(findings%first(at), name)
+    end do
+    if (findings%count > most_reported) text = text//new_line_character//'... and ' &
+      //to_text(findings%count - most_reported)//' more; the last: '//one_text(findings%last, name)
+  end function findings_text
+
+  !> Text of one problem.
+  pure function one_text(finding, name) result(text)
+    type(finding_type), intent(in) :: finding
+    character(len=*), intent(in) :: name
+    character(len=:), allocatable :: text
+
+    text = name
+    if (finding%line > 0) text = text//', line '//to_text(finding%line)
+    text = text//': '
+    if (allocated(finding%group)) text = text//'&'//displayable_text(finding%group)
+    if (allocated(finding%key)) then
+      text = text//' '//displayable_text(finding%key)//trim(merge(' =', '  ', finding%kind &
+        == of_value))//' '
+    else if (allocated(finding%group)) then
+      text = text//': '
+    end if
+    text = text//finding%value
+    if (allocated(finding%allowed)) text = text//'; allowed: '//finding%allowed
+  end function one_text
+
+  !> Adds the findings on one point of the scan.
+  pure subroutine add_point_findings(gathered, findings, point)
+    !> Findings on the points so far.
+    type(point_findings_type), intent(inout) :: gathered
+    !> Findings on the point.
+    type(finding_type), intent(in) :: findings(:)
+    !> Index of the point.
+    integer, intent(in) :: point
+    integer :: at
+
+    if (.not. allocated(gathered%different)) &
+      allocate (gathered%different(0), gathered%of_values(0))
+    if (size(findings) > 0) gathered%points = gathered%points + 1
+    do at = 1, size(findings)
+      call count_finding(gathered%different, findings(at), .true., point, gathered%more_different)
+      call count_finding(gathered%of_values, findings(at), .false., point, gathered%more_values)
+    end do
+  end subroutine add_point_findings
+
+  !> Increments the number of points of a finding, or adds the finding.
+  pure subroutine count_finding(kept, finding, exactly, point, more)
+    type(finding_type), allocatable, intent(inout) :: kept(:)
+    type(finding_type), intent(in) :: finding
+    !> Whether findings that differ only in what is allowed are different.
+    logical, intent(in) :: exactly
+    integer, intent(in) :: point
+    !> Set if there are `most_reported` findings already.
+    logical, intent(inout) :: more
+    integer :: k
+
+    do k = 1, size(kept)
+      if (kept(k)%key /= finding%key .or. kept(k)%value /= finding%value) cycle
+      if (kept(k)%allowed == finding%allowed .or. .not. exactly) exit
+    end do
+    more = more .or. k > most_reported
+    if (k > most_reported) return
+    if (k > size(kept)) then
+      kept = [kept, finding]
+      kept(k)%first_point = point
+    end if
+    kept(k)%points = kept(k)%points + 1
+    kept(k)%last_point = point
+  end subroutine count_finding
+
+  !> Findings on points to be reported: all that differ, or, if there are too many, one for each
+  !> value of a key.
+  pure function reported_findings(gathered) result(findings)
+    !> Findings on all points, from `add_point_findings`.
+    type(point_findings_type), intent(in) :: gathered
+    type(finding_type), allocatable :: findings(:)
+
+    if (.not. allocated(gathered%different)) then
+      allocate (findings(0))
+    else if (gathered%more_different) then
+      findings = gathered%of_values
+    else
+      findings = gathered%different
+    end if
+  end function reported_findings
+
+  !> A word of a file made safe to print: shortened, control characters replaced by `?`.
+  pure function displayable_text(word) result(shown)
+    !> Word of the file.
+    character(len=*), intent(in) :: word
+    character(len=:), allocatable :: shown
+    integer :: at
+
+    shown = word(:min(len(word), most_letters))
+    do at = 1, len(shown)
+      if (iachar(shown(at:at)) < 32 .or. iachar(shown(at:at)) == 127) shown(at:at) = '?'
+    end do
+    if (len(word) > most_letters) shown = shown//' ...'
+  end function displayable_text
+
+end module battery_findings
