@@ -281,7 +281,6 @@ contains
     call serialize_state(simulation, simulation%setup, seconds, archive, error)
     if (allocated(error)) return
     record%owner = task%task_id
-    record%tag = task%task
     journal%generation = journal%generation + 1
     record%generation = journal%generation
     call move_alloc(archive%word, record%word)

@@ -9,6 +9,7 @@ module battery_plan_report
   use battery_memory_estimate, only: estimate_type, estimate_of, every_rank
   use battery_available_memory, only: size_text
   use battery_journal, only: journal_type
+  use battery_merge, only: sources_type, close_sources
   use battery_startup, only: progress_type, inspect_output, further_text
   use battery_plan, only: plan_type, point_type, point_of
   use battery_plan_remarks, only: remarks_of
@@ -40,6 +41,7 @@ contains
     type(error_type), allocatable, intent(out) :: error
     type(estimate_type) :: estimate
     type(journal_type) :: journal
+    type(sources_type) :: sources
     type(progress_type) :: progress
     character(len=:), allocatable :: message
     type(string_type), allocatable :: remarks(:)
@@ -50,7 +52,8 @@ contains
     if (overwrite) then
       progress = initial_progress(plan)
     else
-      call inspect_output(plan, journal, progress, message, error)
+      call inspect_output(plan, journal, sources, progress, message, error)
+      call close_sources(sources)
     end if
     if (allocated(error)) return
     if (message /= '') call print_line(message)

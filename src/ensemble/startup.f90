@@ -26,7 +26,8 @@ module battery_startup
   use battery_text, only: string_type, to_text, count_text, new_line_character
   implicit none (type, external)
   private
-  public :: find_pending_tasks, progress_type, inspect_output, further_text, accept_output
+  public :: find_pending_tasks, find_further_tasks, progress_type, inspect_output, further_text
+  public :: accept_output
   public :: write_partial_results
 
   !> Progress of an ensemble.
@@ -49,13 +50,15 @@ module battery_startup
 contains
 
   !> Finds the pending tasks: rank 0 inspects the results file and the journal, if they exist.
-  subroutine find_pending_tasks(plan, communicator, overwrite, quiet, journal, pending, complete, &
-    error)
+  subroutine find_pending_tasks(plan, communicator, overwrite, quiet, journal, sources, pending, &
+    complete, error)
     type(plan_type), intent(in) :: plan
     type(communicator_type), intent(in) :: communicator
     !> Whether to discard existing results; whether rank 0 prints nothing.
     logical, intent(in) :: overwrite, quiet
     type(journal_type), intent(out) :: journal
+    !> The old results file on rank 0, open if it is there.
+    type(sources_type), intent(out) :: sources
     !> Numbers of the pending tasks, in the order to be taken, on rank 0; empty on the others.
     integer, allocatable, intent(out) :: pending(:)
     !> Whether no task is pending.
@@ -66,8 +69,8 @@ contains
 
     allocate (pending(0))
     if (communicator%rank == 0) then
-      call begin_on_rank0(plan, communicator%size, overwrite, quiet, complete, journal, pending, &
-        error)
+      call begin_on_rank0(plan, communicator%size, overwrite, quiet, complete, journal, sources, &
+        pending, error)
       shared = [merge(1, 0, complete), journal%first_file]
     end if
     call share_error(communicator, error)
@@ -78,14 +81,57 @@ contains
       communicator%size)
   end subroutine find_pending_tasks
 
+  !> Finds the tasks that a precision needs besides, after those of a first pass are finished.
+  subroutine find_further_tasks(plan, communicator, journal, sources, pending, error)
+    type(plan_type), intent(in) :: plan
+    type(communicator_type), intent(in) :: communicator
+    type(journal_type), intent(in) :: journal
+    type(sources_type), intent(inout) :: sources
+    !> On rank 0: the tasks of the last pass; then those of the next, in the order to be taken; none
+    !> if results of the last cannot be read back.
+    integer, allocatable, intent(inout) :: pending(:)
+    !> The same error on all ranks.
+    type(error_type), allocatable, intent(out) :: error
+    type(results_type) :: results
+    type(string_type), allocatable :: failures(:)
+    integer, allocatable :: replicas_needed(:)
+    logical :: were_read
+
+    if (communicator%rank == 0) call collect_results(plan, journal, sources, results, failures, &
+      replicas_needed, error)
+    call share_error(communicator, error)
+    if (communicator%rank > 0 .or. allocated(error)) return
+    associate (status => reshape(results%task_status, [task_count(plan)]))
+      were_read = all(status(pending) == task_complete)
+    end associate
+    pending = pending_tasks(plan, results, replicas_needed)
+    if (.not. were_read) pending = pending(:0)
+    call order_tasks(plan, communicator%size, pending)
+  end subroutine find_further_tasks
+
+  !> Numbers of the tasks that are known to be needed and are not complete.
+  pure function pending_tasks(plan, results, replicas_needed) result(pending)
+    type(plan_type), intent(in) :: plan
+    type(results_type), intent(in) :: results
+    integer, intent(in) :: replicas_needed(:)
+    integer, allocatable :: pending(:)
+    integer :: k
+
+    pending = pack([(k, k=1, task_count(plan))], &
+      [(results%task_status(:replicas_needed(k), k) /= task_complete, spread(.false., 1, &
+      plan%replicas - replicas_needed(k)), k=1, plan%point_count)])
+  end function pending_tasks
+
   !> Finds the pending tasks, and the journal of earlier starts; if there are pending tasks, begins
   !> the journal of a start with `ranks` ranks.
-  subroutine begin_on_rank0(plan, ranks, overwrite, quiet, complete, journal, pending, error)
+  subroutine begin_on_rank0(plan, ranks, overwrite, quiet, complete, journal, sources, pending, &
+    error)
     type(plan_type), intent(in) :: plan
     integer, intent(in) :: ranks
     logical, intent(in) :: overwrite, quiet
     logical, intent(out) :: complete
     type(journal_type), intent(out) :: journal
+    type(sources_type), intent(out) :: sources
     integer, allocatable, intent(inout) :: pending(:)
     type(error_type), allocatable, intent(out) :: error
     character(len=:), allocatable :: message
@@ -95,7 +141,8 @@ contains
 
     complete = .false.
     if (overwrite) call discard_output(plan, error)
-    if (.not. allocated(error)) call inspect_output(plan, journal, progress, message, error)
+    if (.not. allocated(error)) call inspect_output(plan, journal, sources, progress, message, &
+      error)
     if (.not. allocated(error)) call check_journal(journal, error)
     if (allocated(error)) return
     complete = progress%complete
@@ -131,10 +178,11 @@ contains
   end subroutine discard_output
 
   !> Determines the progress of an ensemble from its results file and its journal; writes nothing.
-  subroutine inspect_output(plan, journal, progress, message, error)
+  subroutine inspect_output(plan, journal, sources, progress, message, error)
     type(plan_type), intent(in) :: plan
-    !> Journal of earlier starts.
+    !> Journal of earlier starts; the results file, to be closed with `close_sources`.
     type(journal_type), intent(out) :: journal
+    type(sources_type), intent(out) :: sources
     type(progress_type), intent(out) :: progress
     !> Message for the user; may be empty.
     character(len=:), allocatable, intent(out) :: message
@@ -142,11 +190,9 @@ contains
     type(error_type), allocatable, intent(out) :: error
     type(error_type), allocatable :: damage
     type(results_type) :: results
-    type(sources_type) :: sources
     type(string_type), allocatable :: failures(:)
     integer, allocatable :: replicas_needed(:)
     logical :: found
-    integer :: k
 
     allocate (progress%pending(0))
     message = ''
@@ -154,7 +200,6 @@ contains
     if (.not. allocated(error)) call inspect_journal(plan, progress%complete, journal, found, error)
     if (.not. allocated(error)) call collect_results(plan, journal, sources, results, failures, &
       replicas_needed, error)
-    call close_results(sources%old)
     if (allocated(error)) return
     progress%finished = count(results%task_status == task_complete)
     progress%begun = states_in(journal)
@@ -171,9 +216,7 @@ contains
       message = plan%file//' is damaged, and is written anew from '//journal_folder(plan) &
         //new_line_character
     end if
-    progress%pending = pack([(k, k=1, task_count(plan))], &
-      [(results%task_status(:replicas_needed(k), k) /= task_complete, spread(.false., 1, &
-      plan%replicas - replicas_needed(k)), k=1, plan%point_count)])
+    progress%pending = pending_tasks(plan, results, replicas_needed)
     if (allocated(results%point_status)) call estimate_further_tasks(plan, results%point_status /= &
       point_undecided, replicas_needed, progress)
     if (found) message = message//'going on: '//to_text(progress%finished)//' of ' &
