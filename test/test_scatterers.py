@@ -217,6 +217,24 @@ def test_who_never_leaves_does_not_hang_the_run(tmp_path: Path, engine: str) -> 
     assert run(name, folder=tmp_path).returncode == 3
 
 
+@pytest.mark.parametrize("engine", ["excursion", "collision"])
+@pytest.mark.parametrize("side", [1, -1])
+def test_who_glides_along_a_wall_of_channel_2_stays_there(
+    tmp_path: Path, engine: str, side: int
+) -> None:
+    table = {"urn_radius": "0.5", "channel1_width": "0.8", "channel1_length": "2",
+             "channel2_width": "0.6", "channel2_length": "2",
+             "scatterers": "0.2, 0, 0.0625"}  # fmt: skip
+    (tmp_path / "i.txt").write_text(f"-1.825 {0.3 * side} -1 0\n")
+    particles = {"number": "1", "initial_file": "'i.txt'"}
+    output = {"file": "'c.h5'", "snapshot_times": "0.05, 0.1"}
+    run_of = {"engine": f"'{engine}'", "duration": "1"}
+    name = write(tmp_path, "c", table, particles=particles, run=run_of, output=output)
+    assert run(name, folder=tmp_path).returncode == 0
+    with h5py.File(tmp_path / "c.h5") as file:
+        assert file["snapshots/y"][0, 0, :, 0].tolist() == [0.3 * side] * 2
+
+
 def test_a_state_of_other_walls_is_not_gone_on_with(tmp_path: Path) -> None:
     """Other discs, or another polygon: exit 2, and the state stays for the task that it is of."""
     corners = "1, -0.6, 1, 0.7, -0.1, 1.1, -1, 0.6, -1, -0.5"

@@ -132,7 +132,8 @@ contains
       py = y(j)
       v = uy(j)
       speed = abs(v)
-      py = half_width - merge(py, -py, v >= 0.0_wp)
+      ! Of a particle that glides along a wall the sign of zero tells that it was reflected there.
+      py = half_width - sign(1.0_wp, v)*py
       to_wall(j) = merge(py, 0.0_wp, py > 0.0_wp)/merge(speed, slowest, speed > slowest)
     end do
     !GCC$ unroll 1
