@@ -273,7 +273,7 @@ $(COMMANDS): build/stamps/python
 	printf '#!%s\nfrom postproc.__main__ import run\n\nraise SystemExit(run())\n' '$(CURDIR)/$(PYTHON)' > $@
 	chmod +x $@
 
-# The git commit for src/base/commit.c. fpm does not watch files that may not be there, so the object
+# The git commit for src/interop/commit.c. fpm does not watch files that may not be there, so the object
 # that has it is removed when it changes; objects for another processor or compiler go as well.
 information: build/generated/commit.h
 

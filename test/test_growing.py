@@ -120,15 +120,18 @@ def is_stopped_in_its_second_task(folder: Path, run: dict[str, Any]) -> bool:
 
 
 def test_growing_run_that_is_stopped_keeps_what_was_there(tmp_path: Path) -> None:
-    """The file of a growing run that is stopped has the tasks of before."""
+    """The file of a growing run that is stopped stays; `--partial` has its tasks and the new."""
     write(tmp_path)
     complete(tmp_path)
+    before = (tmp_path / "out.h5").read_bytes()
     write(tmp_path, scan={"replicas": 300})
     process = start("case.nml", folder=tmp_path)
     assert wait_for((tmp_path / "out.h5.tasks/rank_0").exists, process)
     process.send_signal(signal.SIGTERM)
     assert finish(process).returncode == 3
-    with h5py.File(tmp_path / "out.h5") as file:
+    assert (tmp_path / "out.h5").read_bytes() == before
+    assert run("--partial", "case.nml", folder=tmp_path).returncode == 0
+    with h5py.File(tmp_path / "out.h5.partial.h5") as file:
         assert file["task_status"].shape == (2, 300)
         assert not file["task_status"][:, :2].any()
         done = np.count_nonzero(file["task_status"][()] == 0)

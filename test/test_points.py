@@ -173,20 +173,6 @@ def test_a_list_of_one_is_the_value_in_its_own_group(
     assert all(other == first for other in others)
 
 
-def test_a_point_is_the_same_however_many_are_scanned_with_it(tmp_path: Path) -> None:
-    """Alone, or in the middle of a scan in which its key is a list and replicas are more."""
-    many = calculate(
-        tmp_path, "many", gate={},
-        scan={"threshold": "3, 1, 2", "channel2_width": "0.1, 0.01, 0.2", "replicas": 2},
-    )  # fmt: skip
-    alone = calculate(tmp_path, "alone", table={"channel2_width": "0.01"}, gate={"threshold": 1})
-    with h5py.File(many) as file, h5py.File(alone) as one:
-        assert len(np.unique(file["seed"])) == 18
-        at = np.flatnonzero((file["threshold"][()] == 1) & (file["channel2_width"][()] == 0.01))
-        for name in ("seed", "chi", "current1", "flow1_12", "collisions", "bounce_backs"):
-            assert file[name][at[0], 0].tobytes() == one[name][0, 0].tobytes(), name
-
-
 LENGTHS = {
     "channel1_width": (0.3, 0.5),
     "channel2_width": (0.0, 0.1),

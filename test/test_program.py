@@ -366,7 +366,8 @@ def test_check_writes_nothing(tmp_path: Path, ranks: int) -> None:
     before = listing(tmp_path)
     ended = run("--check", "case.nml", folder=tmp_path, ranks=ranks)
     assert ended.returncode == 0
-    for word in ("6", "2 points, 3 replicas", "time", "memory", "out.h5"):
+    for word in ("6", "2 points, 3 replicas", "channel2_width = 0.01, 0.1\n", "time", "memory",
+                 "out.h5"):  # fmt: skip
         assert word in ended.stdout
     assert listing(tmp_path) == before
 

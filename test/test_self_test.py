@@ -24,30 +24,51 @@ def test_a_good_program_passes_and_leaves_nothing(tmp_path: Path, ranks: int) ->
     assert last == f"all {len(tests)} tests passed"
     assert all(line.endswith(": passed") for line in tests)
     assert {line.split(",")[0] for line in tests[:-1]} == {
-        "excursion", "collision", "synchronous", "timestep", "reservoir"}  # fmt: skip
+        "excursion", "collision", "synchronous"}  # fmt: skip
     assert tests[-1].startswith(f"{2 * max(ranks, 1)} tasks, results file")
     assert list(tmp_path.iterdir()) == []
 
 
-def test_another_answer_is_found(tmp_path: Path) -> None:
-    """In a copy of the program, one digit of an event's time in one log is another."""
-    text = (ROOT / "src/run/frozen_logs.f90").read_text(encoding="utf-8")
-    log = text[text.index(":: timestep_circuit(") :]
-    event = re.findall(r"'(\d \d+ \d+ \d+\.\d+)'", log)[9].encode()
+@pytest.mark.parametrize(
+    ("array", "row", "found"),
+    [("event", 9, "event 10 of 48 differs"), ("event", 47, "event 48 of 48 differs"),
+     ("final", 15, "the final state differs")],
+)  # fmt: skip
+def test_another_answer_is_found(tmp_path: Path, array: str, row: int, found: str) -> None:
+    """In a copy of the program, one digit of an event's time or of a final state is another."""
+    text = (ROOT / "src/ensemble/self_test.f90").read_text(encoding="utf-8")
+    rows = re.findall(r"'(.*)'", text[text.index(f":: {array}_lines(") :])
+    line = rows[row].encode()
     program = PROGRAM.read_bytes()
-    assert program.count(event) == 1
-    wrong = event[:-6] + bytes([(event[-6] - 48 + 5) % 10 + 48]) + event[-5:]
+    assert program.count(line) == 1
+    wrong = line[:-6] + bytes([(line[-6] - 48 + 5) % 10 + 48]) + line[-5:]
     other = tmp_path / "battery"
     shutil.copy(PROGRAM, other)
-    other.write_bytes(program.replace(event, wrong))
+    other.write_bytes(program.replace(line, wrong))
     done = subprocess.run([other, "--self-test"], cwd=tmp_path, env=ALONE, text=True,
                           capture_output=True, check=False)  # fmt: skip
     assert done.returncode == 1
     failed = [line for line in done.stdout.splitlines() if "FAILED" in line]
-    assert len(failed) == 1
-    assert re.fullmatch(r"timestep, two urns, \d+ events: FAILED: event 10 of \d+ differs "
-                        r"\(rank 0\)", failed[0])  # fmt: skip
-    assert done.stderr == "battery: 1 of 9 tests failed\n"
+    engines = [f"{engine}, two urns, 48 events: FAILED: {found} (rank 0)"
+               for engine in ("excursion", "collision", "synchronous")]  # fmt: skip
+    assert failed[:3] == engines
+    if array == "final":
+        assert failed[3].endswith("the final state of task 1 in the file differs")
+    assert len(failed) == (4 if array == "final" else 3)
+    assert done.stderr == f"battery: {len(failed)} of 4 tests failed\n"
+
+
+@pytest.mark.parametrize("kind", ["2", "4"])
+def test_another_event_is_found(tmp_path: Path, kind: str) -> None:
+    """In a copy of the program, the first event is of another kind."""
+    text = (ROOT / "src/ensemble/self_test.f90").read_text(encoding="utf-8")
+    line = re.findall(r"'(.*)'", text[text.index(":: event_lines(") :])[0]
+    other = tmp_path / "battery"
+    shutil.copy(PROGRAM, other)
+    other.write_bytes(PROGRAM.read_bytes().replace(line.encode(), f"{kind}{line[1:]}".encode()))
+    done = subprocess.run([other, "--self-test"], cwd=tmp_path, env=ALONE, text=True,
+                          capture_output=True, check=False)  # fmt: skip
+    assert done.stdout.count("FAILED: event 1 of 48 differs") == (0 if line[0] == kind else 3)
 
 
 def test_a_file_that_cannot_be_written_is_found(tmp_path: Path) -> None:
@@ -66,7 +87,7 @@ def test_a_file_that_cannot_be_written_is_found(tmp_path: Path) -> None:
     assert done.returncode == 1, done.stderr
     assert "results file written and read back: FAILED: " in done.stdout
     # Open MPI 5 says first that it cannot write a file of its own.
-    assert done.stderr.endswith("battery: 1 of 9 tests failed\n")
+    assert done.stderr.endswith("battery: 1 of 4 tests failed\n")
 
 
 def test_it_takes_no_file(tmp_path: Path) -> None:

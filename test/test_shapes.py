@@ -161,19 +161,30 @@ def test_pictures_have_all_particles_inside(tmp_path: Path, table: str, engine: 
 HALF, FAR = 0.25, 0.25 + 2.0 * np.sqrt(1.0 - 0.25**2)
 
 
+OCTAGON = "urn_shape = 'polygon', urn_vertices = 1,-.5,1,.5,.5,1,-.5,1,-1,.5,-1,-.5,-.5,-1,.5,-1,"
+
+
 @pytest.mark.parametrize(
-    "start",
-    [f"-0.09375 {HALF} 1 0", f"{FAR + 0.25} -{HALF} 1 0", f"0.25 {HALF} 2 -1", f"0.25 {HALF} 3 1"],
-)
-def test_who_enters_a_disc_at_the_end_of_its_arc_is_where_it_is(tmp_path: Path, start: str) -> None:
-    """Along the wall of either channel, or from the corner: as by the engine that counts hits."""
+    ("start", "urns"),
+    [(f"-0.09375 {HALF} 1 0", ""), (f"{FAR + 0.25} -{HALF} 1 0", ""), (f"0.25 {HALF} 2 -1", ""),
+     (f"0.25 {HALF} 3 1", ""), ("-0.25 0.1 0 1", OCTAGON),
+     ("2.25 0.1 0 -1", OCTAGON)],
+)  # fmt: skip
+def test_who_begins_at_the_end_or_along_an_opening_is_where_it_is(
+    tmp_path: Path, start: str, urns: str
+) -> None:
+    """As by the engine that counts hits.
+
+    It enters a disc at the end of its arc, along the wall of either channel or from the corner, or
+    moves along the line of an opening, which is in the urn.
+    """
     (tmp_path / "start.txt").write_text(f"{start}\n")
     widths = f"channel1_width = {2 * HALF}, channel2_width = {2 * HALF}"
     places = {}
     for engine in ("excursion", "collision"):
         (tmp_path / "c.nml").write_text(
             f"&particles number = 1, initial_file = 'start.txt' /\n&gate threshold = 9 /\n"
-            f"&table {widths}, channel1_length = 0.5, channel2_length = 1 /\n"
+            f"&table {urns} {widths}, channel1_length = 0.5, channel2_length = 1 /\n"
             f"&run engine = '{engine}', duration = 3 /\n"
             f"&output file = '{engine}.h5', snapshot_times_range = 0.0625, 2.9375, 47 /\n"
         )
@@ -182,6 +193,25 @@ def test_who_enters_a_disc_at_the_end_of_its_arc_is_where_it_is(tmp_path: Path, 
         with h5py.File(tmp_path / f"{engine}.h5") as file:
             places[engine] = np.array([file[f"snapshots/{name}"][0, 0, :, 0] for name in "xy"])
     assert places["excursion"] == pytest.approx(places["collision"], abs=1e-9)
+
+
+@pytest.mark.parametrize("engine", ["excursion", "collision", "synchronous"])
+def test_from_corner_to_corner_nobody_flies_outside(tmp_path: Path, engine: str) -> None:
+    """Turned by a sharp corner along the line that joins it to another one, over a notch."""
+    (tmp_path / "start.txt").write_text("-1.5 -0.5 0.6 0.8\n")
+    text = namelist(
+        table={"urn_shape": "'polygon'", "urn_vertices": "1, -1, 1, 1, 0, 0.5, -1, 1, -1, -1",
+               "channel1_width": 0.5, "channel1_length": 0.75, "channel2_width": 0.25},
+        particles={"number": 1, "initial_file": "'start.txt'"}, gate={"threshold": 1},
+        run={"engine": f"'{engine}'", "duration": 3}, output={"final_state": ".true."},
+    )  # fmt: skip
+    (tmp_path / "a.nml").write_text(text)
+    assert run("--quiet", "a.nml", folder=tmp_path).returncode == 0
+    with h5py.File(tmp_path / "battery.h5") as file:
+        place = [file[f"final/{name}"][0, 0, 0] for name in "xy"]
+    # Either side of the corner will do: both paths are known.
+    ends = np.array([[-1.05, 0.1], [-0.69, -0.08]])
+    assert np.abs(ends - place).sum(axis=1).min() < 1e-9
 
 
 def test_who_runs_along_a_wall_into_its_corner_is_not_trapped(tmp_path: Path) -> None:

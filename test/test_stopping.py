@@ -65,6 +65,11 @@ def test_the_signal_that_mpirun_passes_on_loses_nothing(tmp_path: Path) -> None:
     states = list((tmp_path / "out.h5.tasks").glob("task_*"))
     assert max(path.stat().st_size for path in states) > 40 * 200_000
     assert "stopped early, the state is saved" in ended.stdout
+    begun = len({path.stem for path in states})
+    told = run("--check", "case.nml", folder=tmp_path).stdout
+    assert f", {begun} from a saved state\n" in told
+    assert "battery --partial FILE.nml writes it" in ended.stdout
+    assert not (tmp_path / "out.h5").exists()
 
 
 @pytest.mark.parametrize(

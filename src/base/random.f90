@@ -5,6 +5,9 @@
 !> The period is 2**256 - 1, so streams of different seeds, and the lanes of one, do not overlap. It
 !> needs only shifts, sums and exclusive ors, and is vectorised over the lanes. The lowest of the 64
 !> bits of a number, which are weak, are not used.
+!>
+!> Initial states are drawn from `battery_gsl`, one number at a time; these generators are for the
+!> engine `reservoir`, which draws many at a time. Both stay, since seeds fix the bits of runs.
 module battery_random
   use battery_kinds, only: wp, int64
   implicit none (type, external)

@@ -39,9 +39,7 @@ module battery_engine
     !> Clock time at the start.
     real(wp) :: clock_start = 0.0_wp
   contains
-    procedure, private :: start_with_threshold, start_with_thresholds
-    !> `start(table, threshold, particles, clock)` loads the particles at time `clock`.
-    generic :: start => start_with_threshold, start_with_thresholds
+    procedure, non_overridable :: start
     procedure, non_overridable :: advance
     procedure, non_overridable :: clock
     procedure, non_overridable :: serialize_state
@@ -117,20 +115,8 @@ module battery_engine
 
 contains
 
-  !> Starts with the same threshold at both gates.
-  subroutine start_with_threshold(self, table, threshold, particles, clock)
-    class(engine_type), intent(inout) :: self
-    type(table_type), intent(in) :: table
-    !> Threshold of both gates.
-    integer, intent(in) :: threshold
-    type(particles_type), intent(inout) :: particles
-    real(wp), intent(in) :: clock
-
-    call self%start_with_thresholds(table, [threshold, threshold], particles, clock)
-  end subroutine start_with_threshold
-
-  !> Starts with a threshold for each gate: loads the particles.
-  subroutine start_with_thresholds(self, table, threshold, particles, clock)
+  !> Loads the particles at the time `clock`.
+  subroutine start(self, table, threshold, particles, clock)
     class(engine_type), intent(inout) :: self
     type(table_type), intent(in) :: table
     !> Thresholds of the gates of urn 1 and 2.
@@ -145,7 +131,7 @@ contains
     call self%load_particles(particles)
     call clear_new_entries(self%gate)
     if (allocated(particles%x)) deallocate (particles%x, particles%y, particles%ux, particles%uy)
-  end subroutine start_with_thresholds
+  end subroutine start
 
   !> Sets table, gates and number; no particle is loaded yet.
   subroutine set_up_engine(self, table, threshold, number)

@@ -13,13 +13,13 @@ module battery_ensemble
   use battery_error, only: error_type, fatal_error, exit_success, exit_failure, exit_stopped_early
   use battery_journal, only: journal_type, check_lock, remove_journal
   use battery_launcher, only: launcher_hint
-  use battery_merge, only: merge_results
+  use battery_merge, only: merge_results, sources_type, close_sources
   use battery_lock_file, only: lock_type, acquire_lock, release_lock
   use battery_plan, only: plan_type
-  use battery_startup, only: find_pending_tasks
+  use battery_startup, only: find_pending_tasks, find_further_tasks
   use battery_results, only: results_type, all_tasks_complete
-  use battery_signals, only: request_stop_after
-  use battery_summary, only: print_summary
+  use battery_signals, only: request_stop_after, signal_received
+  use battery_summary, only: print_summary, print_stop
   use battery_text, only: string_type
   use battery_task_loop, only: monitor_type, run_tasks
   implicit none (type, external)
@@ -40,6 +40,7 @@ contains
     type(lock_type) :: lock
     integer, allocatable :: pending(:)
     type(journal_type) :: journal
+    type(sources_type) :: sources
     type(task_queue_type) :: task_queue
     type(monitor_type) :: monitor
     real(dp) :: start_seconds
@@ -65,15 +66,14 @@ contains
     start_date = utc_now()
     if (plan%checkpoint_minutes > 0.0_dp) &
       monitor%checkpoint_interval = 60.0_dp*real(plan%checkpoint_minutes, dp)
-    ! Results may ask for more replicas, until nothing is pending.
-    goes_on = .false.
+    call find_pending_tasks(plan, communicator, overwrite, quiet, journal, sources, pending, &
+      complete, error)
+    if (complete .and. .not. allocated(error)) exit_code = exit_success
+    goes_on = .not. (complete .or. allocated(error))
+    journal%lock = lock
     collisions = 0
-    do
-      call find_pending_tasks(plan, communicator, overwrite .and. .not. goes_on, quiet &
-        .or. goes_on, journal, pending, complete, error)
-      if (complete .and. .not. allocated(error)) exit_code = exit_success
-      if (complete .or. allocated(error)) exit
-      journal%lock = lock
+    ! Results may ask for more replicas, until nothing is pending.
+    do while (goes_on)
       call open_task_queue(task_queue, communicator, pending, error)
       if (allocated(error)) exit
       call run_tasks(plan, journal, task_queue, monitor, quiet, error)
@@ -83,20 +83,25 @@ contains
         .and. read_counter(task_queue, tasks_failed) == 0
       if (.not. allocated(error)) collisions = collisions + read_counter(task_queue, &
         collisions_done)
-      if (.not. (goes_on .or. allocated(error))) call finish_ensemble(plan, journal, task_queue, &
-        collisions, monitor%busy, start_seconds, start_date, quiet, exit_code, error)
+      if (.not. (goes_on .or. allocated(error))) call finish_ensemble(plan, journal, sources, &
+        task_queue, collisions, monitor%busy, start_seconds, start_date, quiet, exit_code, error)
       call close_task_queue(task_queue)
-      if (.not. goes_on) exit
+      if (goes_on) call find_further_tasks(plan, communicator, journal, sources, pending, error)
+      if (allocated(error)) exit
     end do
+    call close_sources(sources)
     call release_lock(lock)
   end subroutine run_ensemble
 
   !> Merges the journal into the results file on rank 0, and prints the summary. The journal is
-  !> removed when the results file has all results.
-  subroutine finish_ensemble(plan, journal, task_queue, collisions, busy_seconds, start_seconds, &
-    start_date, quiet, exit_code, error)
+  !> removed when the results file has all results. A run that a signal has stopped ends at once,
+  !> without a results file: Open MPI kills its ranks a second later; `--partial` makes the file.
+  subroutine finish_ensemble(plan, journal, sources, task_queue, collisions, busy_seconds, &
+    start_seconds, start_date, quiet, exit_code, error)
     type(plan_type), intent(in) :: plan
     type(journal_type), intent(in) :: journal
+    !> The older results file; closed here.
+    type(sources_type), intent(inout) :: sources
     type(task_queue_type), intent(in) :: task_queue
     !> Wall collisions of this start, on all ranks.
     integer(int64), intent(in) :: collisions
@@ -111,21 +116,26 @@ contains
     type(error_type), allocatable, intent(out) :: error
     type(results_type) :: results
     type(string_type), allocatable :: failures(:)
-    real(dp) :: busy(3)
-    logical :: all_done
+    real(dp) :: busy(3), signalled(3)
+    logical :: all_done, stops
 
     busy = least_mean_greatest(task_queue%communicator, &
       busy_seconds/max(wall_seconds() - start_seconds, 1.0e-9_dp))
+    signalled = least_mean_greatest(task_queue%communicator, &
+      merge(1.0_dp, 0.0_dp, signal_received()))
     all_done = read_counter(task_queue, tasks_finished) >= task_queue%tasks
+    stops = signalled(3) > 0.0_dp .and. .not. all_done
     exit_code = exit_success
     if (read_counter(task_queue, tasks_failed) > 0) exit_code = exit_failure
     if (.not. all_done) exit_code = exit_stopped_early
     if (task_queue%communicator%rank == 0) then
       call check_lock(journal, error)
-      if (.not. allocated(error)) call merge_results(plan, journal, start_date, results, failures, &
-        error)
-      if (.not. allocated(error)) call print_summary(plan, results, failures, journal%ranks, busy, &
-        wall_seconds() - start_seconds, collisions, all_done, quiet)
+      if (.not. (stops .or. allocated(error))) call merge_results(plan, journal, sources, &
+        start_date, results, failures, error)
+      if (stops .and. .not. (quiet .or. allocated(error))) call print_stop(journal%ranks, &
+        'what is finished: battery --partial FILE.nml writes it to '//plan%file//'.partial.h5')
+      if (.not. (stops .or. allocated(error))) call print_summary(plan, results, failures, &
+        journal%ranks, busy, wall_seconds() - start_seconds, collisions, all_done, quiet)
       if (.not. allocated(error) .and. exit_code == exit_success) then
         if (all_tasks_complete(results)) then
           call remove_journal(journal%folder, error)

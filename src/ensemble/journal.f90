@@ -14,7 +14,7 @@ module battery_journal
   use battery_error, only: error_type, fatal_error
   use battery_paths, only: is_folder
   use battery_fingerprint, only: fingerprint_text
-  use battery_text, only: string_type, to_text
+  use battery_text, only: string_type, to_text, is_one_of
   use battery_clocks, only: wall_seconds
   use battery_files, only: make_folder, sync_file, remove_file, publish_file, file_exists, &
     files_matching
@@ -27,13 +27,15 @@ module battery_journal
   use battery_archive, only: archive_type, new_archive, measuring_archive, archive_of
   implicit none (type, external)
   private
-  public :: journal_type, read_plan, begin_journal, join_journal, rank_file
-  public :: rank_files_in, rank_files_of, task_ids_in, check_lock, check_journal, remove_journal
+  public :: journal_type, find_journal, begin_journal, join_journal, rank_file, rank_files_of
+  public :: states_in, task_ids_of, check_lock, check_journal, remove_journal
   public :: write_finished, sync_finished, write_state, read_state
 
   !> The journal as one rank accesses it.
   type :: journal_type
     character(len=:), allocatable :: folder
+    !> Files that were there when the folder was listed, on rank 0.
+    type(string_type), allocatable, private :: names(:)
     !> Number of the rank file of rank 0: rank files of earlier starts have smaller numbers. Number
     !> of ranks of this start.
     integer :: first_file = 0, ranks = 0
@@ -75,22 +77,25 @@ contains
     name = journal%folder//'/task_'//fingerprint_text(task_id)
   end function state_file
 
-  !> Reads the plan of the journal of an earlier start: its namelist, and the fingerprint of its
-  !> initial file. `found` is false if there is none that can be read.
-  subroutine read_plan(folder, namelist, initial_fingerprint, found, rank_files)
-    !> Folder of the journal.
+  !> Finds the files of earlier starts, and reads their plan: the namelist, and the fingerprint of
+  !> the initial file. `found` is false if there is no plan that can be read. The folder is listed
+  !> here only; `first_file` becomes the next free number of a rank file: greater than those of all
+  !> files, and than those that earlier starts reserved for their ranks, used or not.
+  subroutine find_journal(journal, folder, namelist, initial_fingerprint, found)
+    type(journal_type), intent(out) :: journal
+    !> Folder of the journal, which need not be there.
     character(len=*), intent(in) :: folder
     !> Text of the namelist; empty if not found.
     character(len=:), allocatable, intent(out) :: namelist
     !> Fingerprint of the initial file; 0 if there was none.
     integer(int64), intent(out) :: initial_fingerprint
     logical, intent(out) :: found
-    !> Rank files that this and earlier starts may have made; 0 if not found.
-    integer, intent(out), optional :: rank_files
     type(record_type) :: record
     type(archive_type) :: archive
     integer :: files
 
+    journal%folder = folder
+    journal%names = journal_files(folder)
     call read_single_record(folder//'/plan', record, found)
     files = 0
     initial_fingerprint = 0
@@ -100,8 +105,8 @@ contains
       call serialize_plan(namelist, initial_fingerprint, files, archive)
       found = .not. archive%failed()
     end if
-    if (present(rank_files)) rank_files = files
-  end subroutine read_plan
+    journal%first_file = max(files, 1 + maxval([-1, numbers_in(journal%names)]))
+  end subroutine find_journal
 
   !> Saves or restores the contents of the file `plan`.
   pure subroutine serialize_plan(namelist, initial_fingerprint, rank_files, archive)
@@ -115,55 +120,39 @@ contains
     call archive%serialize('rank_files', rank_files)
   end subroutine serialize_plan
 
-  !> The next free number of a rank file: greater than those of all files, and than those that
-  !> earlier starts reserved for their ranks, used or not.
-  function rank_files_in(folder) result(rank_files)
-    !> Folder of the journal.
-    character(len=*), intent(in) :: folder
-    integer :: rank_files
-    character(len=:), allocatable :: namelist
-    integer(int64) :: initial_fingerprint
-    logical :: found
-
-    call read_plan(folder, namelist, initial_fingerprint, found, rank_files)
-    rank_files = max(rank_files, 1 + maxval([-1, numbers_in(folder)]))
-  end function rank_files_in
-
-  !> Numbers of the rank files that a journal may have, in any order. Files of this start are listed
-  !> without a look into the folder: on a network disk its listing may be out of date.
+  !> Numbers of the rank files that a journal may have, in any order.
   function rank_files_of(journal) result(numbers)
+    !> From `find_journal`.
     type(journal_type), intent(in) :: journal
     integer, allocatable :: numbers(:)
     integer :: k
 
-    numbers = numbers_in(journal%folder)
+    numbers = numbers_in(journal%names)
     numbers = [pack(numbers, numbers < journal%first_file), (journal%first_file + k, k=0, &
       journal%ranks - 1)]
   end function rank_files_of
 
   !> `task_id` of the first valid record of every file but the plan: without a plan they show
   !> to which input the journal belongs.
-  function task_ids_in(folder) result(task_id)
-    !> Folder of the journal.
-    character(len=*), intent(in) :: folder
+  function task_ids_of(journal) result(task_id)
+    !> From `find_journal`.
+    type(journal_type), intent(in) :: journal
     integer(int64), allocatable :: task_id(:)
-    type(string_type), allocatable :: names(:)
     type(record_type) :: record
     logical :: found
     integer :: k, good
 
-    names = journal_files(folder)
-    allocate (task_id(size(names)))
+    allocate (task_id(size(journal%names)))
     good = 0
-    do k = 1, size(names)
-      if (index(names(k)%text, 'plan') == 1) cycle
-      call read_single_record(folder//'/'//names(k)%text, record, found)
+    do k = 1, size(task_id)
+      if (index(journal%names(k)%text, 'plan') == 1) cycle
+      call read_single_record(journal%folder//'/'//journal%names(k)%text, record, found)
       if (.not. found) cycle
       good = good + 1
       task_id(good) = record%owner
     end do
     task_id = task_id(:good)
-  end function task_ids_in
+  end function task_ids_of
 
   !> Begins the journal: writes the plan, on rank 0, before any rank writes anything else.
   subroutine begin_journal(folder, namelist, initial_fingerprint, rank_files, error)
@@ -194,7 +183,8 @@ contains
   !> Sets up the journal on a rank, after `begin_journal`; `rank_files` is the number before this
   !> start.
   subroutine join_journal(journal, folder, rank_files, rank, ranks)
-    type(journal_type), intent(out) :: journal
+    !> On rank 0, from `find_journal`.
+    type(journal_type), intent(inout) :: journal
     !> Folder of the journal.
     character(len=*), intent(in) :: folder
     !> Number of rank files of earlier starts; this rank, from 0; number of ranks.
@@ -291,7 +281,6 @@ contains
     call serialize_state(simulation, simulation%setup, seconds, archive, error)
     if (allocated(error)) return
     record%owner = task%task_id
-    record%tag = task%task
     journal%generation = journal%generation + 1
     record%generation = journal%generation
     call move_alloc(archive%word, record%word)
@@ -347,19 +336,17 @@ contains
     cpu_seconds = 0.0_dp
   end subroutine read_state
 
-  !> Numbers of the rank files in the folder, in any order. Names whose suffix is not the number of
-  !> a rank file are ignored.
-  function numbers_in(folder) result(numbers)
-    !> Folder of a journal, which need not be there.
-    character(len=*), intent(in) :: folder
+  !> Numbers of the rank files in a list of names, in its order. Names whose suffix is not the
+  !> number of a rank file are ignored.
+  pure function numbers_in(names) result(numbers)
+    type(string_type), intent(in) :: names(:)
     integer, allocatable :: numbers(:)
-    type(string_type), allocatable :: names(:)
     integer :: k, found, status
 
-    names = files_matching(folder, 'rank_*')
     allocate (numbers(size(names)))
     found = 0
     do k = 1, size(names)
+      if (index(names(k)%text, 'rank_') /= 1) cycle
       read (names(k)%text(6:), *, iostat=status) numbers(found + 1)
       if (status /= 0) cycle
       if (names(k)%text /= 'rank_'//to_text(numbers(found + 1))) cycle
@@ -368,20 +355,36 @@ contains
     numbers = numbers(:found)
   end function numbers_in
 
-  !> An error if a folder has the name of a file of the journal.
-  subroutine check_journal(folder, error)
-    !> Folder of a journal, which need not be there.
-    character(len=*), intent(in) :: folder
-    type(error_type), allocatable, intent(out) :: error
-    type(string_type), allocatable :: names(:)
+  !> Number of tasks that have a saved state.
+  pure integer function states_in(journal) result(states)
+    !> From `find_journal`.
+    type(journal_type), intent(in) :: journal
     integer :: k
 
-    names = journal_files(folder)
-    do k = 1, size(names)
-      if (.not. is_folder(folder//'/'//names(k)%text)) cycle
-      call fatal_error(error, folder//'/'//names(k)%text &
-        //': is a folder where a file should be; remove it')
-      return
+    states = 0
+    do k = 1, size(journal%names)
+      associate (name => journal%names(k)%text)
+        if (index(name, 'task_') /= 1) cycle
+        ! A task with both generations counts once.
+        if (name(len(name):) == 'a' .or. .not. is_one_of(name(:len(name) - 1)//'a', &
+          journal%names)) states = states + 1
+      end associate
+    end do
+  end function states_in
+
+  !> An error if a folder has the name of a file of the journal.
+  subroutine check_journal(journal, error)
+    !> From `find_journal`.
+    type(journal_type), intent(in) :: journal
+    type(error_type), allocatable, intent(out) :: error
+    integer :: k
+
+    do k = 1, size(journal%names)
+      associate (path => journal%folder//'/'//journal%names(k)%text)
+        if (is_folder(path)) call fatal_error(error, path &
+          //': is a folder where a file should be; remove it')
+      end associate
+      if (allocated(error)) return
     end do
   end subroutine check_journal
 

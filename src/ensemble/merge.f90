@@ -10,7 +10,7 @@ module battery_merge
   use battery_kinds, only: wp, dp, int32, int64
   use battery_clocks, only: utc_now
   use battery_error, only: error_type, fatal_error, exit_bad_input
-  use battery_files, only: file_exists, has_stamp
+  use battery_files, only: has_stamp
   use battery_fingerprint, only: fingerprint_text
   use battery_hdf5_attributes, only: write_attribute, write_text_attribute
   use battery_hdf5_file, only: hdf5_file_type, make_group, no_handle
@@ -23,7 +23,7 @@ module battery_merge
   use battery_results, only: results_type, new_results, task_complete, task_failed, &
     task_not_asked, point_undecided, all_tasks_complete
   use battery_results_file, only: results_file_type, create_results, write_results, &
-    publish_results, open_results, read_results, close_results
+    publish_results, read_results, close_results
   use battery_task_output, only: prepare_outputs, serialize_slabs, ended_early, series, events
   use battery_task_result, only: task_result_type, next_result
   use battery_tasks, only: task_type, task_count, task_of, task_index_type, task_index_of, &
@@ -47,7 +47,7 @@ module battery_merge
 
   !> Places of the outputs of all tasks.
   type :: sources_type
-    !> The old results file: open if it has tasks that the journal does not have.
+    !> The old results file, open if it is there and undamaged.
     type(results_file_type) :: old
     !> Numbers of the rank files, and readers of them if all are held open.
     integer, allocatable, private :: rank_file(:)
@@ -62,19 +62,21 @@ contains
 
   !> Writes the results file from the journal and the old results file; `results` returns its
   !> numbers.
-  subroutine merge_results(plan, journal, start_date, results, failures, error)
+  subroutine merge_results(plan, journal, sources, start_date, results, failures, error)
     type(plan_type), intent(in) :: plan
     type(journal_type), intent(in) :: journal
+    !> The old results file; not used if it is not the one that was there when the lock was taken.
+    type(sources_type), intent(inout) :: sources
     !> Start of the run as date and time of day.
     character(len=*), intent(in) :: start_date
     type(results_type), intent(out) :: results
     !> Reason for which each task failed; not allocated for the others.
     type(string_type), allocatable, intent(out) :: failures(:)
     type(error_type), allocatable, intent(out) :: error
-    type(sources_type) :: sources
     type(results_file_type) :: file
     integer, allocatable :: replicas_needed(:)
 
+    if (.not. has_stamp(plan%file, journal%lock%before)) call close_results(sources%old)
     call collect_results(plan, journal, sources, results, failures, replicas_needed, error)
     if (allocated(error)) return
     call write_results_of(plan, journal, sources, plan%file, start_date, replicas_needed, results, &
@@ -212,12 +214,11 @@ contains
   end function numbers_text
 
   !> Collects the numbers of all results, and the places of their task outputs. The old results file
-  !> is read only if the journal does not have all tasks; if it is not open, only if it is the file
-  !> that was there when the lock was taken.
+  !> is read only if it is open and the journal does not have all tasks.
   subroutine collect_results(plan, journal, sources, results, failures, replicas_needed, error)
     type(plan_type), intent(in) :: plan
     type(journal_type), intent(in) :: journal
-    !> Sources, whose old file may be open; it is not open after an error.
+    !> Sources, whose old file may be open; it is not open after an error in it.
     type(sources_type), intent(inout) :: sources
     !> Results; points and seeds are unknown.
     type(results_type), intent(out) :: results
@@ -234,11 +235,14 @@ contains
     integer :: k, group
     logical :: is_one
 
-    allocate (failures(task_count(plan)), sources%place(task_count(plan)))
+    allocate (failures(task_count(plan)))
+    sources%place = [(place_type(), k=1, task_count(plan))]
+    sources%length = 0
     call new_results(results, plan%point_count, plan%replicas)
     results%scanned = plan%scanned
-    if (.not. allocated(sources%rank_file)) sources%rank_file = rank_files_of(journal)
-    if (size(sources%rank_file) > 0 .or. file_exists(plan%file)) task_index = task_index_of(plan)
+    if (.not. allocated(sources%reader)) sources%rank_file = rank_files_of(journal)
+    if (size(sources%rank_file) > 0 .or. sources%old%id /= no_handle) &
+      task_index = task_index_of(plan)
     do k = 1, size(sources%rank_file)
       place%rank_file = k
       call open_rank_file(journal, sources, k, reader)
@@ -249,7 +253,8 @@ contains
       end do
       if (.not. allocated(sources%reader)) call close_records(reader)
     end do
-    if (any(results%task_status /= task_complete)) call add_old_results()
+    if (any(results%task_status /= task_complete) .and. sources%old%id /= no_handle) &
+      call add_old_results()
     if (.not. allocated(error)) call decide_replicas(plan, results, replicas_needed)
 
   contains
@@ -260,12 +265,7 @@ contains
       integer :: r, p
 
       associate (old => sources%old)
-        if (old%id == no_handle) then
-          if (.not. file_exists(plan%file)) return
-          if (.not. has_stamp(plan%file, journal%lock%before)) return
-          call open_results(plan%file, old, error)
-        end if
-        if (.not. allocated(error)) call read_results(old, before, error)
+        call read_results(old, before, error)
         if (allocated(error)) then
           if (error%code /= exit_bad_input) deallocate (error)
           return

@@ -2,21 +2,23 @@
 module battery_plan_report
   use battery_kinds, only: wp, dp, int64
   use battery_clocks, only: cpu_seconds
+  use battery_columns, only: print_row, duration_text, rate_text
   use battery_engine, only: particles_type
   use battery_error, only: error_type
   use battery_json_report, only: write_plan_json
-  use battery_memory_estimate, only: estimate_type, estimate_of, bytes_per_rank, bytes_at_the_end
-  use battery_available_memory, only: free_memory_type, available_memory, size_text
+  use battery_memory_estimate, only: estimate_type, estimate_of, every_rank
+  use battery_available_memory, only: size_text
+  use battery_journal, only: journal_type
+  use battery_merge, only: sources_type, close_sources
   use battery_startup, only: progress_type, inspect_output, further_text
   use battery_plan, only: plan_type, point_type, point_of
   use battery_plan_remarks, only: remarks_of
-  use battery_progress_line, only: duration_text, rate_text
   use battery_signals, only: stop_requested, set_stop_error
   use battery_simulation, only: simulation_type, begin_simulation, advance_simulation
   use battery_table, only: channel1, channel2
   use battery_tasks, only: task_type, task_count, task_of, initial_particles
   use battery_terminal, only: print_line
-  use battery_text, only: string_type, to_text, count_text
+  use battery_text, only: string_type, to_text, count_text, join
   implicit none (type, external)
   private
   public :: print_plan_report
@@ -37,8 +39,9 @@ contains
     !> JSON file for tasks, time and memory; empty: none.
     character(len=*), intent(in) :: json
     type(error_type), allocatable, intent(out) :: error
-    type(free_memory_type) :: available
     type(estimate_type) :: estimate
+    type(journal_type) :: journal
+    type(sources_type) :: sources
     type(progress_type) :: progress
     character(len=:), allocatable :: message
     type(string_type), allocatable :: remarks(:)
@@ -49,30 +52,31 @@ contains
     if (overwrite) then
       progress = initial_progress(plan)
     else
-      call inspect_output(plan, progress, message, error)
+      call inspect_output(plan, journal, sources, progress, message, error)
+      call close_sources(sources)
     end if
     if (allocated(error)) return
     if (message /= '') call print_line(message)
-    available = available_memory(sharing)
-    estimate = estimate_of(plan, available)
+    estimate = estimate_of(plan, sharing)
     call print_parameters(plan)
     remarks = remarks_of(plan)
     do at = 1, size(remarks)
-      call print_line('remark:     '//remarks(at)%text)
+      call print_row('remark:', remarks(at)%text)
     end do
-    call print_line('finished:   '//count_text(progress%finished, 'task')//'; to be done: ' &
+    call print_row('finished:', count_text(progress%finished, 'task')//'; to be done: ' &
       //to_text(size(progress%pending))//further_text(progress))
     call calibrate(plan, progress%pending, estimate%number, seconds, rate, error)
     if (allocated(error)) return
     if (rate > 0.0_dp) &
-      call print_line('speed:      '//rate_text(rate)//' collisions/s a rank (calibrated)')
-    if (size(progress%pending) > 0) call print_line('time:       about '//time_text(0.0_dp) &
-      //' on ' //count_text(ranks, 'rank')//further_time())
-    call print_memory(estimate, available)
-    call print_line('results:    '//plan%file)
+      call print_row('speed:', rate_text(rate)//' collisions/s a rank (calibrated)')
+    if (size(progress%pending) > 0) call print_row('time:', trim(merge('at most', 'about  ', &
+      progress%begun > 0))//' '//time_text(0.0_dp)//' on ' &
+      //count_text(ranks, 'rank')//further_time())
+    call print_memory(estimate)
+    call print_row('results:', plan%file)
     call print_line('nothing was written')
     call write_plan_json(json, task_count(plan), size(progress%pending), seconds, &
-      bytes_per_rank(estimate), error)
+      every_rank + estimate%task, error)
 
   contains
 
@@ -110,91 +114,98 @@ contains
 
   !> Prints the memory that a rank needs for tasks, that rank 0 needs at the end, and that is
   !> available.
-  subroutine print_memory(estimate, available)
+  subroutine print_memory(estimate)
     type(estimate_type), intent(in) :: estimate
-    type(free_memory_type), intent(in) :: available
 
-    call print_line('memory:     about '//size_text(bytes_per_rank(estimate)) &
-      //' a rank; rank 0 about ' //size_text(bytes_at_the_end(estimate))//' at the end; ' &
-      //size_text(available%bytes)//' a rank are available ('//available%limit//')')
-    if (estimate%events > 0.0_dp) call print_line('            events take about ' &
+    call print_row('memory:', 'about '//size_text(every_rank + estimate%task)//' a rank; rank 0 ' &
+      //'about '//size_text(every_rank + estimate%merge)//' at the end; ' &
+      //size_text(estimate%available%bytes)//' a rank are available (' &
+      //estimate%available%limit//')')
+    if (estimate%events > 0.0_dp) call print_row('', 'events take about ' &
       //size_text(estimate%events) //' of it; a run whose events outgrow the memory fails')
-    if (estimate%too_large > 0) call print_line('            '//count_text(estimate%too_large, &
-      'point') //' with up to '//to_text(estimate%greatest) &
+    if (estimate%too_large > 0) call print_row('', count_text(estimate%too_large, 'point') &
+      //' with up to '//to_text(estimate%greatest) &
       //' particles need more: their tasks will fail')
   end subroutine print_memory
 
   !> Prints the parameters of a plan, scanned ones as ranges.
   subroutine print_parameters(plan)
     type(plan_type), intent(in) :: plan
-    type(point_type) :: point
-    real(wp) :: extent(2, 10)
+    type(point_type), allocatable :: points(:)
+    character(len=:), allocatable :: outline
     integer :: at
 
-    extent(1, :) = huge(1.0_wp)
-    extent(2, :) = -huge(1.0_wp)
-    do at = 1, plan%point_count
-      point = point_of(plan, at)
-      call widen_range([real(point%number, wp), real(point%threshold, wp), point%urn_radius, &
-        point%channel(channel1)%width, point%channel(channel1)%length, &
-        point%channel(channel2)%width, point%channel(channel2)%length, real(point%urn1_number, wp)])
-    end do
-    call print_line('tasks:      '//to_text(task_count(plan))//' (' &
-      //count_text(plan%point_count, 'point')//', '//count_text(plan%replicas, 'replica')//' each)')
-    if (plan%first_replicas < plan%replicas) call print_line('precision:  the first ' &
+    points = [(point_of(plan, at), at=1, plan%point_count)]
+    call print_row('tasks:', to_text(task_count(plan))//' ('//count_text(plan%point_count, &
+      'point')//', '//count_text(plan%replicas, 'replica')//' each)')
+    if (plan%first_replicas < plan%replicas) call print_row('precision:', 'the first ' &
       //to_text(plan%first_replicas)//' replicas of a point determine its number, up to ' &
-      //to_text(plan%replicas)//'')
-    call print_line('engine:     '//plan%engine)
-    if (plan%urn_shape == 'disc') then
-      call print_line('shape:      '//plan%shape//', urn radius '//pair_text(4))
-    else
-      call print_line('shape:      '//plan%shape//', '//outline_text(plan)//', urn radius ' &
-        //pair_text(4))
-    end if
-    call print_line('channel 1:  w = '//range_text(6)//', l = '//range_text(7))
-    if (plan%shape /= 'urn') &
-      call print_line('channel 2:  w'' = '//range_text(8)//', l'' = '//range_text(9))
+      //to_text(plan%replicas))
+    do at = 1, size(plan%scanned)
+      associate (one => plan%scanned(at))
+        call print_row(trim(merge('scan:', '     ', at == 1)), one%key//' = ' &
+          //list_text(one%values))
+        if (allocated(one%second)) call print_row('', one%key//'2 = '//list_text(one%second))
+      end associate
+    end do
+    call print_row('engine:', plan%engine)
+    outline = ''
+    if (plan%urn_shape /= 'disc') outline = ', '//outline_text(plan)
+    call print_row('shape:', plan%shape//outline//', urn radius '//pair_text( &
+      points%urn_radius(1), points%urn_radius(2)))
+    call print_row('channel 1:', 'w = '//range_text(points%channel(channel1)%width)//', l = ' &
+      //range_text(points%channel(channel1)%length))
+    if (plan%shape /= 'urn') call print_row('channel 2:', 'w'' = ' &
+      //range_text(points%channel(channel2)%width)//', l'' = ' &
+      //range_text(points%channel(channel2)%length))
     if (size(plan%scatterers) > 0) &
-      call print_line('            with '//count_text(size(plan%scatterers)/3, 'scatterer'))
-    call print_line('N:          '//range_text(1))
-    call print_line('T:          '//pair_text(2))
-    call print_line('urn 1:      '//range_text(10)//' particles at the start')
+      call print_row('', 'with '//count_text(size(plan%scatterers)/3, 'scatterer'))
+    call print_row('N:', range_text(real(points%number, wp)))
+    call print_row('T:', pair_text(real(points%threshold(1), wp), real(points%threshold(2), wp)))
+    call print_row('urn 1:', range_text(real(points%urn1_number, wp))//' particles at the start')
     if (plan%duration > 0.0_wp) then
-      call print_line('length:     '//to_text(plan%duration) &
-        //' time units each, the first ' //to_text(plan%transient_duration)//' not averaged')
+      call print_row('length:', to_text(plan%duration)//' time units each, the first ' &
+        //to_text(plan%transient_duration)//' not averaged')
     else
-      call print_line('length:     '//rate_text(real(plan%collisions, dp)) &
-        //' collisions each, the first ' &
-        //rate_text(real(plan%transient_collisions, dp))//' not averaged')
+      call print_row('length:', rate_text(real(plan%collisions, dp))//' collisions each, the ' &
+        //'first '//rate_text(real(plan%transient_collisions, dp))//' not averaged')
     end if
 
   contains
 
-    !> Extends the ranges by the values of one point.
-    subroutine widen_range(values)
+    !> All values of a list, or of a long one the first, the last and their number.
+    function list_text(values) result(text)
       real(wp), intent(in) :: values(:)
+      character(len=:), allocatable :: text
+      integer, parameter :: most = 25, first = 3
+      type(string_type) :: words(size(values))
+      integer :: k
 
-      extent(1, :) = min(extent(1, :), values)
-      extent(2, :) = max(extent(2, :), values)
-    end subroutine widen_range
+      do k = 1, size(values)
+        words(k)%text = to_text(values(k))
+      end do
+      text = join(words, ', ')
+      if (size(values) > most) text = join(words(:first), ', ')//' ... '//words(size(values))%text &
+        //' ('//to_text(size(values))//' values)'
+    end function list_text
 
     !> Least and greatest value of one quantity.
-    function range_text(k) result(text)
-      integer, intent(in) :: k
+    function range_text(values) result(text)
+      real(wp), intent(in) :: values(:)
       character(len=:), allocatable :: text
 
-      text = to_text(extent(1, k))
-      if (extent(2, k) > extent(1, k)) text = text//' ... '//to_text(extent(2, k))
+      text = to_text(minval(values))
+      if (maxval(values) > minval(values)) text = text//' ... '//to_text(maxval(values))
     end function range_text
 
-    !> A pair of quantities, once if they are equal.
-    function pair_text(k) result(text)
-      integer, intent(in) :: k
+    !> Ranges of a quantity of both urns, once if they are equal.
+    function pair_text(one, other) result(text)
+      real(wp), intent(in) :: one(:), other(:)
       character(len=:), allocatable :: text
 
-      text = range_text(k)
-      if (plan%shape /= 'urn' .and. range_text(k + 1) /= text) &
-        text = text//' and '//range_text(k + 1)
+      text = range_text(one)
+      if (plan%shape /= 'urn' .and. range_text(other) /= text) text = text//' and ' &
+        //range_text(other)
     end function pair_text
 
   end subroutine print_parameters

@@ -1,17 +1,17 @@
-!> Progress of a running ensemble on standard output; texts for times and rates.
+!> Progress of a running ensemble on standard output.
 !>
 !> On a terminal, one line is overwritten; in a log, lines are written at intervals. Only rank 0
 !> prints.
 module battery_progress_line
-  use battery_kinds, only: dp, int64
+  use battery_kinds, only: dp
   use battery_clocks, only: wall_seconds
+  use battery_columns, only: duration_text, rate_text
   use battery_communicator, only: task_queue_type, read_counter, output_is_terminal, &
     tasks_finished, collisions_done
   use battery_terminal, only: print_line, print_text
   implicit none (type, external)
   private
-  public :: progress_line_type, new_progress_line, show_progress, clear_progress_line, &
-    duration_text, rate_text
+  public :: progress_line_type, new_progress_line, show_progress, clear_progress_line
 
   !> State of the progress line.
   type :: progress_line_type
@@ -104,42 +104,5 @@ contains
     if (progress_line%line_open) call print_text(achar(13)//repeat(' ', screen_width)//achar(13))
     progress_line%line_open = .false.
   end subroutine clear_progress_line
-
-  !> A duration in the largest suitable units: `8 s`, `3 min 20 s`, `2 h 05 min`.
-  pure function duration_text(seconds) result(text)
-    !> Time in seconds; a negative one is shown as 0.
-    real(dp), intent(in) :: seconds
-    character(len=:), allocatable :: text
-    character(len=32) :: buffer
-    integer(int64) :: whole
-
-    whole = nint(min(max(seconds, 0.0_dp), 1.0e12_dp), int64)
-    if (seconds < 0.095_dp) then
-      write (buffer, '(f5.3, a)') max(seconds, 0.0_dp), ' s'
-    else if (seconds < 9.95_dp) then
-      write (buffer, '(f3.1, a)') max(seconds, 0.0_dp), ' s'
-    else if (whole < 60) then
-      write (buffer, '(i0, a)') whole, ' s'
-    else if (whole < 3600) then
-      write (buffer, '(i0, a, i0, a)') whole/60, ' min ', mod(whole, 60_int64), ' s'
-    else
-      write (buffer, '(i0, a, i2.2, a)') whole/3600, ' h ', mod(whole, 3600_int64)/60, ' min'
-    end if
-    text = trim(buffer)
-  end function duration_text
-
-  !> A rate with three digits, such as `2.13e8`.
-  pure function rate_text(rate) result(text)
-    !> Rate in any unit, not negative.
-    real(dp), intent(in) :: rate
-    character(len=:), allocatable :: text
-    character(len=32) :: buffer
-    integer :: power
-
-    power = 0
-    if (rate > 0.0_dp) power = floor(log10(rate))
-    write (buffer, '(f4.2, a, i0)') rate/10.0_dp**power, 'e', power
-    text = trim(buffer)
-  end function rate_text
 
 end module battery_progress_line

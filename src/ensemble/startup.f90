@@ -7,8 +7,8 @@ module battery_startup
   use battery_checksum_footer, only: check_discardable
   use battery_error, only: error_type, fatal_error, exit_failure, exit_bad_input
   use battery_files, only: file_exists, remove_file, publish_file, file_stamp_type
-  use battery_journal, only: journal_type, read_plan, task_ids_in, begin_journal, join_journal, &
-    rank_files_in, check_journal, remove_journal
+  use battery_journal, only: journal_type, find_journal, task_ids_of, begin_journal, join_journal, &
+    states_in, check_journal, remove_journal
   use battery_lock_file, only: lock_type, acquire_lock, release_lock
   use battery_machine, only: host_name
   use battery_merge, only: collect_results, sources_type, open_sources, close_sources, &
@@ -26,7 +26,8 @@ module battery_startup
   use battery_text, only: string_type, to_text, count_text, new_line_character
   implicit none (type, external)
   private
-  public :: find_pending_tasks, progress_type, inspect_output, further_text, accept_output
+  public :: find_pending_tasks, find_further_tasks, progress_type, inspect_output, further_text
+  public :: accept_output
   public :: write_partial_results
 
   !> Progress of an ensemble.
@@ -35,6 +36,8 @@ module battery_startup
     logical :: complete = .false.
     !> Number of finished tasks.
     integer :: finished = 0
+    !> Number of tasks that have a saved state, from which they go on.
+    integer :: begun = 0
     !> Numbers of the tasks that are known to be needed and are not finished.
     integer, allocatable :: pending(:)
     !> Largest number of tasks that may be needed besides, if a precision is required.
@@ -47,13 +50,15 @@ module battery_startup
 contains
 
   !> Finds the pending tasks: rank 0 inspects the results file and the journal, if they exist.
-  subroutine find_pending_tasks(plan, communicator, overwrite, quiet, journal, pending, complete, &
-    error)
+  subroutine find_pending_tasks(plan, communicator, overwrite, quiet, journal, sources, pending, &
+    complete, error)
     type(plan_type), intent(in) :: plan
     type(communicator_type), intent(in) :: communicator
     !> Whether to discard existing results; whether rank 0 prints nothing.
     logical, intent(in) :: overwrite, quiet
     type(journal_type), intent(out) :: journal
+    !> The old results file on rank 0, open if it is there.
+    type(sources_type), intent(out) :: sources
     !> Numbers of the pending tasks, in the order to be taken, on rank 0; empty on the others.
     integer, allocatable, intent(out) :: pending(:)
     !> Whether no task is pending.
@@ -61,13 +66,12 @@ contains
     !> The same error on all ranks; code `exit_bad_input` if existing files are of another input.
     type(error_type), allocatable, intent(out) :: error
     integer(int64), allocatable :: shared(:)
-    integer :: rank_files
 
     allocate (pending(0))
     if (communicator%rank == 0) then
-      call begin_on_rank0(plan, communicator%size, overwrite, quiet, complete, rank_files, &
+      call begin_on_rank0(plan, communicator%size, overwrite, quiet, complete, journal, sources, &
         pending, error)
-      shared = [merge(1, 0, complete), rank_files]
+      shared = [merge(1, 0, complete), journal%first_file]
     end if
     call share_error(communicator, error)
     if (allocated(error)) return
@@ -77,14 +81,57 @@ contains
       communicator%size)
   end subroutine find_pending_tasks
 
-  !> Finds the pending tasks, and the number of rank files of earlier starts; if there are pending
-  !> tasks, begins the journal of a start with `ranks` ranks.
-  subroutine begin_on_rank0(plan, ranks, overwrite, quiet, complete, rank_files, pending, error)
+  !> Finds the tasks that a precision needs besides, after those of a first pass are finished.
+  subroutine find_further_tasks(plan, communicator, journal, sources, pending, error)
+    type(plan_type), intent(in) :: plan
+    type(communicator_type), intent(in) :: communicator
+    type(journal_type), intent(in) :: journal
+    type(sources_type), intent(inout) :: sources
+    !> On rank 0: the tasks of the last pass; then those of the next, in the order to be taken; none
+    !> if results of the last cannot be read back.
+    integer, allocatable, intent(inout) :: pending(:)
+    !> The same error on all ranks.
+    type(error_type), allocatable, intent(out) :: error
+    type(results_type) :: results
+    type(string_type), allocatable :: failures(:)
+    integer, allocatable :: replicas_needed(:)
+    logical :: were_read
+
+    if (communicator%rank == 0) call collect_results(plan, journal, sources, results, failures, &
+      replicas_needed, error)
+    call share_error(communicator, error)
+    if (communicator%rank > 0 .or. allocated(error)) return
+    associate (status => reshape(results%task_status, [task_count(plan)]))
+      were_read = all(status(pending) == task_complete)
+    end associate
+    pending = pending_tasks(plan, results, replicas_needed)
+    if (.not. were_read) pending = pending(:0)
+    call order_tasks(plan, communicator%size, pending)
+  end subroutine find_further_tasks
+
+  !> Numbers of the tasks that are known to be needed and are not complete.
+  pure function pending_tasks(plan, results, replicas_needed) result(pending)
+    type(plan_type), intent(in) :: plan
+    type(results_type), intent(in) :: results
+    integer, intent(in) :: replicas_needed(:)
+    integer, allocatable :: pending(:)
+    integer :: k
+
+    pending = pack([(k, k=1, task_count(plan))], &
+      [(results%task_status(:replicas_needed(k), k) /= task_complete, spread(.false., 1, &
+      plan%replicas - replicas_needed(k)), k=1, plan%point_count)])
+  end function pending_tasks
+
+  !> Finds the pending tasks, and the journal of earlier starts; if there are pending tasks, begins
+  !> the journal of a start with `ranks` ranks.
+  subroutine begin_on_rank0(plan, ranks, overwrite, quiet, complete, journal, sources, pending, &
+    error)
     type(plan_type), intent(in) :: plan
     integer, intent(in) :: ranks
     logical, intent(in) :: overwrite, quiet
     logical, intent(out) :: complete
-    integer, intent(out) :: rank_files
+    type(journal_type), intent(out) :: journal
+    type(sources_type), intent(out) :: sources
     integer, allocatable, intent(inout) :: pending(:)
     type(error_type), allocatable, intent(out) :: error
     character(len=:), allocatable :: message
@@ -93,12 +140,10 @@ contains
     integer :: at
 
     complete = .false.
-    rank_files = 0
-    call check_journal(journal_folder(plan), error)
-    if (.not. allocated(error) .and. overwrite) call check_discardable(plan%file, error)
-    if (.not. allocated(error) .and. overwrite) call remove_file(plan%file, error)
-    if (.not. allocated(error) .and. overwrite) call remove_journal(journal_folder(plan), error)
-    if (.not. allocated(error)) call inspect_output(plan, progress, message, error)
+    if (overwrite) call discard_output(plan, error)
+    if (.not. allocated(error)) call inspect_output(plan, journal, sources, progress, message, &
+      error)
+    if (.not. allocated(error)) call check_journal(journal, error)
     if (allocated(error)) return
     complete = progress%complete
     pending = progress%pending
@@ -110,39 +155,54 @@ contains
       do at = 1, merge(0, size(remarks), quiet)
         call print_line('remark: '//remarks(at)%text)
       end do
-      rank_files = rank_files_in(journal_folder(plan))
-      call open_journal(plan, ranks, rank_files, error)
+      call open_journal(plan, ranks, journal%first_file, error)
       call order_tasks(plan, ranks, pending)
     end if
   end subroutine begin_on_rank0
 
-  !> Determines the progress of an ensemble from its results file and its journal; writes nothing.
-  subroutine inspect_output(plan, progress, message, error)
+  !> Removes the results file and the journal.
+  subroutine discard_output(plan, error)
     type(plan_type), intent(in) :: plan
+    !> They are something else, or cannot be removed.
+    type(error_type), allocatable, intent(out) :: error
+    type(journal_type) :: journal
+    character(len=:), allocatable :: before
+    integer(int64) :: initial_fingerprint
+    logical :: found
+
+    call find_journal(journal, journal_folder(plan), before, initial_fingerprint, found)
+    call check_journal(journal, error)
+    if (.not. allocated(error)) call check_discardable(plan%file, error)
+    if (.not. allocated(error)) call remove_file(plan%file, error)
+    if (.not. allocated(error)) call remove_journal(journal%folder, error)
+  end subroutine discard_output
+
+  !> Determines the progress of an ensemble from its results file and its journal; writes nothing.
+  subroutine inspect_output(plan, journal, sources, progress, message, error)
+    type(plan_type), intent(in) :: plan
+    !> Journal of earlier starts; the results file, to be closed with `close_sources`.
+    type(journal_type), intent(out) :: journal
+    type(sources_type), intent(out) :: sources
     type(progress_type), intent(out) :: progress
     !> Message for the user; may be empty.
     character(len=:), allocatable, intent(out) :: message
     !> Existing files are of another input; code `exit_bad_input`.
     type(error_type), allocatable, intent(out) :: error
     type(error_type), allocatable :: damage
-    type(journal_type) :: journal
     type(results_type) :: results
-    type(sources_type) :: sources
     type(string_type), allocatable :: failures(:)
     integer, allocatable :: replicas_needed(:)
     logical :: found
-    integer :: k
 
     allocate (progress%pending(0))
     message = ''
     call inspect_results_file(plan, sources%old, progress%complete, damage, error)
-    if (.not. allocated(error)) call inspect_journal(plan, progress%complete, found, error)
-    call join_journal(journal, journal_folder(plan), rank_files_in(journal_folder(plan)), 0, 0)
+    if (.not. allocated(error)) call inspect_journal(plan, progress%complete, journal, found, error)
     if (.not. allocated(error)) call collect_results(plan, journal, sources, results, failures, &
       replicas_needed, error)
-    call close_results(sources%old)
     if (allocated(error)) return
     progress%finished = count(results%task_status == task_complete)
+    progress%begun = states_in(journal)
     if (progress%complete) then
       message = plan%file//' is complete; --overwrite runs it again'
       return
@@ -156,9 +216,7 @@ contains
       message = plan%file//' is damaged, and is written anew from '//journal_folder(plan) &
         //new_line_character
     end if
-    progress%pending = pack([(k, k=1, task_count(plan))], &
-      [(results%task_status(:replicas_needed(k), k) /= task_complete, spread(.false., 1, &
-      plan%replicas - replicas_needed(k)), k=1, plan%point_count)])
+    progress%pending = pending_tasks(plan, results, replicas_needed)
     if (allocated(results%point_status)) call estimate_further_tasks(plan, results%point_status /= &
       point_undecided, replicas_needed, progress)
     if (found) message = message//'going on: '//to_text(progress%finished)//' of ' &
@@ -166,13 +224,15 @@ contains
       //further_text(progress)
   end subroutine inspect_output
 
-  !> Text for the number of tasks that may be needed besides those known to be needed; empty: none.
+  !> Text for the tasks that go on from a saved state, and for the number that may be needed besides
+  !> those known to be needed; empty: none.
   function further_text(progress) result(text)
     type(progress_type), intent(in) :: progress
     character(len=:), allocatable :: text
 
     text = ''
-    if (progress%further > 0) text = ', and up to '//to_text(progress%further) &
+    if (progress%begun > 0) text = ', '//to_text(progress%begun)//' from a saved state'
+    if (progress%further > 0) text = text//', and up to '//to_text(progress%further) &
       //' more as the first replicas tell'
   end function further_text
 
@@ -312,9 +372,8 @@ contains
         //'replaced; move it away', exit_bad_input)
       return
     end if
-    call inspect_journal(plan, .true., found, error)
+    call inspect_journal(plan, .true., journal, found, error)
     if (allocated(error)) return
-    call join_journal(journal, journal_folder(plan), rank_files_in(journal_folder(plan)), 0, 0)
     call open_sources(journal, sources)
     call inspect_results_file(plan, sources%old, complete, damage, error)
     if (.not. allocated(error)) call collect_results(plan, journal, sources, results, failures, &
@@ -339,10 +398,11 @@ contains
 
   !> Inspects the journal, which must be of this input, or of one that this input extends; if its
   !> plan is damaged, its records must not belong to another input.
-  subroutine inspect_journal(plan, complete, found, error)
+  subroutine inspect_journal(plan, complete, journal, found, error)
     type(plan_type), intent(in) :: plan
     !> Whether the results file is complete, so that the journal is not needed any more.
     logical, intent(in) :: complete
+    type(journal_type), intent(out) :: journal
     !> Whether there is a journal with a plan.
     logical, intent(out) :: found
     !> The journal is of another input; code `exit_bad_input`.
@@ -354,11 +414,11 @@ contains
     logical :: same
     integer :: k
 
-    call read_plan(journal_folder(plan), before, initial_fingerprint, found)
+    call find_journal(journal, journal_folder(plan), before, initial_fingerprint, found)
     if (found) then
       call compare_inputs(plan, before, initial_fingerprint, same, error)
     else if (.not. complete) then
-      task_id = task_ids_in(journal_folder(plan))
+      task_id = task_ids_of(journal)
       if (size(task_id) == 0) return
       task_index = task_index_of(plan)
       if (any([(task_number_of(task_index, task_id(k)) == 0, k=1, size(task_id))])) call &

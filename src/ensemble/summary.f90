@@ -1,32 +1,34 @@
 !> The summary at the end of a run: averages, errors, failed tasks, and the load of the ranks.
 module battery_summary
   use, intrinsic :: ieee_arithmetic, only: ieee_is_nan
+  use battery_blocks, only: error_of_mean
   use battery_kinds, only: dp, int64
   use battery_plan, only: plan_type
   use battery_table, only: channel1, channel2
   use battery_tasks, only: task_count
   use battery_precision, only: cut_between_groups
   use battery_quantities, only: averaged_quantities, counted_quantities, place_of
-  use battery_results, only: results_type, scatter_of, task_complete, task_not_asked, &
+  use battery_results, only: results_type, task_complete, task_not_asked, &
     point_two_states, point_not_precise
-  use battery_progress_line, only: duration_text, rate_text
+  use battery_columns, only: whole_text, number_text, duration_text, rate_text
   use battery_terminal, only: print_line
   use battery_command_line, only: ways_to_stop
   use battery_text, only: string_type, to_text, count_text
   implicit none (type, external)
   private
-  public :: print_summary
+  public :: print_summary, print_stop
 
   !> Up to this many tasks are printed one by one; up to this many points, with averages over their
   !> replicas.
   integer, parameter :: most_rows = 12
 
-  !> What the tables may show, and their heads there: the currents of both channels where they have
-  !> an error. Their sign is that of the polarity, which must have changed some times for it.
+  !> What the tables may show, and their heads there, with that of the error: the currents of both
+  !> channels where they have an error. Their sign is that of the polarity, which must have changed
+  !> some times for it.
   character(len=*), parameter :: names(4) = [character(len=17) :: 'chi', 'polarised_current', &
     'current1', 'current2']
-  character(len=*), parameter :: heads(4) = [character(len=10) :: 'chi', 'polarised', 'current 1', &
-    'current 2']
+  character(len=*), parameter :: heads(4) = [character(len=22) :: '          chi  +-error', &
+    '    polarised  +-error', '    current 1  +-error', '    current 2  +-error']
 
 contains
 
@@ -81,29 +83,55 @@ contains
     if (done > 0) call print_slowest(results)
     if (any(results%counted(:, :, place_of('trapped', counted_quantities())) > 0)) &
       call print_line('some particles are on orbits that never leave: see the dataset trapped')
-    call print_missing_snapshots(results)
-    if (.not. all_done) call &
-      print_line('stopped early, the state is saved: the same command goes on')
-    if (.not. all_done .and. ranks > 1) call print_line(ways_to_stop)
-    call print_line('results: '//plan%file)
+    if (results%short_tasks > 0) call print_line(to_text(results%short_tasks)//' of the complete ' &
+      //'tasks ended before the last of snapshot_times: the later snapshots are NaN')
+    if (all_done) then
+      call print_line('results: '//plan%file)
+    else
+      call print_stop(ranks, 'results: '//plan%file)
+    end if
   end subroutine print_summary
+
+  !> Prints the last lines of a run that was stopped early.
+  subroutine print_stop(ranks, where_results_are)
+    !> Number of ranks.
+    integer, intent(in) :: ranks
+    !> The last line.
+    character(len=*), intent(in) :: where_results_are
+
+    call print_line('stopped early, the state is saved: the same command goes on')
+    if (ranks > 1) call print_line(ways_to_stop)
+    call print_line(where_results_are)
+  end subroutine print_stop
 
   !> Which of `names` the tables show: chi and the polarised current where they are known, the
   !> currents of the channels where a task has an error of them, or nothing else is known.
   pure function shown_quantities(results) result(shown)
     type(results_type), intent(in) :: results
     logical :: shown(size(names))
-    logical, allocatable :: complete(:, :)
-    integer :: k, at
+    integer :: at(size(names)), k
 
-    complete = results%task_status == task_complete
-    do k = 1, size(names)
-      at = place_of(trim(names(k)), averaged_quantities())
-      shown(k) = any(complete .and. .not. ieee_is_nan(results%average(:, :, at)))
-      if (k > 2 .and. any(shown(:2))) shown(k) = shown(k) .and. any(complete &
-        .and. .not. ieee_is_nan(results%error(:, :, at)))
-    end do
+    at = places()
+    shown = [(is_known(results%average(:, :, at(k))), k=1, size(names))]
+    if (any(shown(:2))) shown(3:) = [(is_known(results%error(:, :, at(k))), k=3, size(names))]
+
+  contains
+
+    !> Whether a complete task has a value; (replica, point).
+    pure logical function is_known(values)
+      real(dp), intent(in) :: values(:, :)
+
+      is_known = any(results%task_status == task_complete .and. .not. ieee_is_nan(values))
+    end function is_known
+
   end function shown_quantities
+
+  !> Place of each of `names` among the averages.
+  pure function places()
+    integer :: places(size(names)), k
+
+    places = [(place_of(trim(names(k)), averaged_quantities()), k=1, size(names))]
+  end function places
 
   !> The head of a table; `which`: what its fifth column is.
   pure function table_head(which, shown) result(text)
@@ -114,7 +142,7 @@ contains
 
     text = '     N    T       w         w'''//which
     do k = 1, size(shown)
-      if (shown(k)) text = text//repeat(' ', 13 - len_trim(heads(k)))//trim(heads(k))//'  +-error'
+      if (shown(k)) text = text//heads(k)
     end do
   end function table_head
 
@@ -133,15 +161,6 @@ contains
     end do
     if (text /= '') call print_line(meaning//', points (from 0):'//text)
   end subroutine list_points
-
-  !> Prints a line if runs with a given number of collisions ended before their last snapshot.
-  subroutine print_missing_snapshots(results)
-    type(results_type), intent(in) :: results
-
-    if (results%short_tasks > 0) call print_line(to_text(results%short_tasks) &
-      //' of the complete tasks ' &
-      //'ended before the last of snapshot_times: the later snapshots are NaN')
-  end subroutine print_missing_snapshots
 
   !> Prints the task with the most processor time.
   subroutine print_slowest(results)
@@ -166,29 +185,29 @@ contains
     type(results_type), intent(in) :: results
     !> Of `names`.
     logical, intent(in) :: shown(:)
-    real(dp) :: values(results%replicas, size(results%point)), &
-      pairs(2, size(results%point), size(names))
-    integer :: complete(size(results%point)), k, p
+    integer :: complete(size(results%point)), at(size(names)), k, p
     logical :: averaged(size(names))
+    real(dp) :: mean(size(names)), error(size(names))
+    real(dp), allocatable :: values(:)
 
     complete = count(results%task_status == task_complete, dim=1)
     if (all(complete < 2)) return
     averaged = shown
     if (shown(2)) averaged(3:) = .false.
-    do k = 1, size(names)
-      values = results%average(:, :, place_of(trim(names(k)), averaged_quantities()))
-      pairs(1, :, k) = sum(values, dim=1, mask=results%task_status == task_complete) &
-        /max(complete, 1)
-      pairs(2, :, k) = scatter_of(values, results%task_status)
-    end do
+    at = places()
     call print_line(table_head('  replicas', averaged)//'    (errors over replicas)')
     do p = 1, size(results%point)
       if (complete(p) < 2) cycle
       if (in_two_states(results, p)) then
         call print_line(line_head(results, p, complete(p))//states_text(results, p))
-      else
-        call print_line(line_head(results, p, complete(p))//pairs_text(pairs(:, p, :), averaged))
+        cycle
       end if
+      do k = 1, size(names)
+        values = pack(results%average(:, p, at(k)), results%task_status(:, p) == task_complete)
+        mean(k) = sum(values)/size(values)
+        error(k) = error_of_mean(values)
+      end do
+      call print_line(line_head(results, p, complete(p))//pairs_text(mean, error, averaged))
     end do
   end subroutine print_points
 
@@ -230,15 +249,12 @@ contains
     logical, intent(in) :: shown(:)
     !> Set if an error is not known.
     logical, intent(inout) :: lacking
-    real(dp) :: pairs(2, size(names))
-    integer :: k, place
+    real(dp) :: error(size(names))
 
-    do k = 1, size(names)
-      place = place_of(trim(names(k)), averaged_quantities())
-      pairs(:, k) = [results%average(r, p, place), results%error(r, p, place)]
-    end do
-    lacking = lacking .or. any(shown .and. ieee_is_nan(pairs(2, :)))
-    call print_line(line_head(results, p, r - 1)//pairs_text(pairs, shown))
+    error = results%error(r, p, places())
+    lacking = lacking .or. any(shown .and. ieee_is_nan(error))
+    call print_line(line_head(results, p, r - 1)//pairs_text(results%average(r, p, places()), &
+      error, shown))
   end subroutine print_task_row
 
   !> Beginning of the line of a point; `which` is the replica, or the number of replicas.
@@ -252,43 +268,18 @@ contains
       //number_text(results%point(p)%channel(channel2)%width, 11, 6)//whole_text(which, 10)
   end function line_head
 
-  !> An integer in `width` columns, or, if it does not fit, a blank and the integer.
-  pure function whole_text(number, width) result(text)
-    integer, intent(in) :: number, width
-    character(len=:), allocatable :: text
-
-    text = repeat(' ', max(1, width - len(to_text(number))))//to_text(number)
-  end function whole_text
-
-  !> Text for the shown quantities, each with its error; (value and error, quantity).
-  pure function pairs_text(pairs, shown) result(text)
-    real(dp), intent(in) :: pairs(:, :)
+  !> Text for the shown quantities, each with its error.
+  pure function pairs_text(value, error, shown) result(text)
+    !> Of each of `names`.
+    real(dp), intent(in) :: value(:), error(:)
     logical, intent(in) :: shown(:)
     character(len=:), allocatable :: text
     integer :: k
 
     text = ''
     do k = 1, size(shown)
-      if (shown(k)) text = text//number_text(pairs(1, k), 13, 5)//number_text(pairs(2, k), 9, 5)
+      if (shown(k)) text = text//number_text(value(k), 13, 5)//number_text(error(k), 9, 5)
     end do
   end function pairs_text
-
-  !> A number in `width` columns with `digits` decimals; with an exponent if it is too large for
-  !> that, or so small that no digit would be visible; a dash if it is not known.
-  pure function number_text(number, width, digits) result(text)
-    real(dp), intent(in) :: number
-    integer, intent(in) :: width, digits
-    character(len=width) :: text
-    character(len=16) :: layout
-
-    text = repeat(' ', width - 1)//'-'
-    if (ieee_is_nan(number)) return
-    write (layout, '(a, i0, a, i0, a)') '(f', width, '.', digits, ')'
-    write (text, layout) number
-    if (index(text, '*') == 0 .and. .not. (abs(number) > 0.0_dp .and. abs(number) &
-      < 1.0e-3_dp*0.1_dp**digits)) return
-    write (layout, '(a, i0, a, i0, a)') '(es', width, '.', min(width - 7, digits), ')'
-    write (text, layout) number
-  end function number_text
 
 end module battery_summary

@@ -20,8 +20,7 @@ module battery_task_result
 
   !> Measurements and output of one task, or the reason for its failure.
   type, extends(task_output_type) :: task_result_type
-    !> Number of the task, from 1, and its status.
-    integer :: task = 0
+    !> How the task ended.
     integer :: status = task_not_done
     !> `task_type%task_id` of the task.
     integer(int64) :: task_id = 0
@@ -42,7 +41,6 @@ contains
     type(particles_type) :: particles
     integer :: n, k
 
-    found%task = task%task
     found%task_id = task%task_id
     found%status = task_complete
     found%message = ''
@@ -102,7 +100,6 @@ contains
     character(len=*), intent(in) :: message
     type(task_result_type) :: failed
 
-    failed%task = task%task
     failed%task_id = task%task_id
     failed%status = task_failed
     failed%message = message
@@ -123,7 +120,6 @@ contains
     archive = new_archive(archive%length)
     call serialize_result(found, archive)
     record%owner = found%task_id
-    record%tag = found%task
     call move_alloc(archive%word, record%word)
   end function to_record
 
@@ -151,10 +147,9 @@ contains
       deallocate (record%word)
       call serialize_result(found, archive)
       if (archive%failed()) cycle
-      is_one = archive%at_end() .and. abs(record%tag) <= huge(found%task)
+      is_one = archive%at_end()
       if (is_one) exit
     end do
-    found%task = int(record%tag)
     found%task_id = record%owner
   end subroutine next_result
 

@@ -14,8 +14,10 @@
 !>
 !> The counted particles are queued by the time at which they will reach the middle line. Engines
 !> call the gate at entries and crossings, one by one (`enter_gate`, `must_reverse`,
-!> `uncount_first`), or with all entries of a window (`apply_rule_to_window`). The rule is here; an
-!> engine that calls one by one only says when no more entries come at that instant.
+!> `uncount_first`), or with all entries of a window (`apply_rule_to_window`). The rule is here,
+!> with one exception: an engine that calls one by one decides which entries are of one instant.
+!> `more_entries_follow` of `serial_window.f90` does so before it obeys `must_reverse`; engines that
+!> go from wall to wall ask `decide_reversal` when the time has changed.
 module battery_gate
   use battery_kinds, only: wp, int64
   use battery_queue, only: queue_type, empty_queue, push, push_all, pop, pop_due, remove_particle, &

@@ -1,13 +1,12 @@
-!> The machine that this process runs on.
+!> The machine that this process runs on, and what the system's files say of both.
 module battery_machine
   use, intrinsic :: iso_c_binding, only: c_int
   use battery_c_shapes, only: number_of_text
   implicit none (type, external)
   private
-  public :: host_name, machine_text
+  public :: host_name, machine_text, text_after
 
   procedure(number_of_text), bind(c, name='battery_host_name') :: c_host_name
-  procedure(number_of_text), bind(c, name='battery_processor') :: c_processor
 
 contains
 
@@ -25,14 +24,38 @@ contains
   function machine_text() result(name)
     character(len=:), allocatable :: name
     character(len=:), allocatable, save :: known
-    character(len=128) :: text
-    integer(c_int) :: length
+    character(len=:), allocatable :: model
 
     if (.not. allocated(known)) then
-      length = c_processor(text, len(text, c_int))
-      known = host_name()//' ('//text(:length)//')'
+      model = text_after('/proc/cpuinfo', 'model name')
+      known = host_name()//' ('//model(index(model, ': ') + 2:)//')'
     end if
     name = known
   end function machine_text
+
+  !> Rest of the first line of a file in which a name begins the line or follows a colon, such as
+  !> `  123 kB` after `MemAvailable:`; empty if there is none, or no such file.
+  function text_after(file, name) result(text)
+    !> File of the system, such as `/proc/meminfo`; only the first 1024 bytes of a line are read.
+    character(len=*), intent(in) :: file
+    !> Text before what is returned.
+    character(len=*), intent(in) :: name
+    character(len=:), allocatable :: text
+    character(len=1024) :: line
+    integer :: unit, status, at
+
+    text = ''
+    open (newunit=unit, file=file, action='read', status='old', iostat=status)
+    if (status /= 0) return
+    do
+      read (unit, '(a)', iostat=status) line
+      if (status /= 0) exit
+      at = index(':'//line, ':'//name)
+      if (at == 0) cycle
+      text = trim(line(at + len(name):))
+      exit
+    end do
+    close (unit)
+  end function text_after
 
 end module battery_machine

@@ -13,7 +13,7 @@ module battery_signals
   implicit none (type, external)
   private
   public :: watch_signals, stop_requested, request_stop_after, clear_stop_request, set_stop_error, &
-    signals_watch
+    signals_watch, signal_received
 
   !> Names of the signals, in the order of the list in signals.c.
   character(len=*), parameter :: names(6) = ['SIGINT ', 'SIGUSR1', 'SIGTERM', 'SIGUSR2', &
@@ -45,10 +45,15 @@ contains
     deadline = began + seconds
   end subroutine request_stop_after
 
+  !> Whether a signal has requested a stop.
+  logical function signal_received()
+    signal_received = signals_received() /= 0
+  end function signal_received
+
   !> Whether a signal or the time limit has requested a stop.
   logical function stop_requested() result(requested)
 
-    requested = signals_received() /= 0
+    requested = signal_received()
     if (.not. requested .and. deadline < huge(1.0_dp)) requested = wall_seconds() >= deadline
   end function stop_requested
 

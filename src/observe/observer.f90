@@ -31,8 +31,7 @@ module battery_observer
   implicit none (type, external)
   private
   public :: observer_type, new_observer, observe_window, begin_measuring, end_series
-  public :: get_measured
-  public :: serialize_observer
+  public :: get_measured, measured_time, serialize_observer
 
   !> Averages that have a standard error from blocks.
   integer, parameter, public :: of_chi = 1, of_current1 = 2, of_current2 = 3, of_polarised = 4, &
@@ -277,7 +276,7 @@ contains
 
     call set_count(measured, 'reversals', sum(observer%reversals))
     call set_count(measured, 'bounce_backs', observer%bounce_backs)
-    time = observer%time + observer%block_time
+    time = measured_time(observer)
     if (.not. time > 0.0_wp) return
     associate (o => observer, number => real(observer%number, wp))
       do k = 1, 4
@@ -300,6 +299,13 @@ contains
     end associate
   end subroutine get_measured
 
+  !> Time since measuring began.
+  pure real(wp) function measured_time(observer)
+    type(observer_type), intent(in) :: observer
+
+    measured_time = observer%time + observer%block_time
+  end function measured_time
+
   !> Standard error of an average; NaN if the run is known to be too short for it.
   pure function error_of(observer, which) result(error)
     type(observer_type), intent(in) :: observer
@@ -309,6 +315,7 @@ contains
     logical :: is_reliable
 
     associate (o => observer)
+      ! The time of whole blocks, since the error is of these; averages are over `measured_time`.
       is_reliable = o%time/least_relaxations >= o%relaxation
       if (which /= of_chi .and. o%has_two_urns .and. o%channel2_open) &
         is_reliable = is_reliable .and. .not. may_circulate(o%reversals - o%transient_reversals)

@@ -2,17 +2,18 @@
 !> and whether these suffice.
 !>
 !> The bytes of each part are upper bounds of measurements: the peak of the process less that of a
-!> run without the part, divided by the number of its elements (docs/ensembles.md has the method).
+!> run without the part, divided by the number of its elements.
 !> `battery_memory_estimate` has the total of a plan.
 module battery_available_memory
-  use, intrinsic :: iso_c_binding, only: c_int, c_double
-  use battery_c_shapes, only: action
+  use, intrinsic :: iso_c_binding, only: c_int
   use battery_kinds, only: dp
   use battery_error, only: error_type, fatal_error
+  use battery_machine, only: text_after
+  use battery_memory, only: memory_limit
   use battery_text, only: to_text
   implicit none (type, external)
   private
-  public :: free_memory_type, available_memory, spare_address_space
+  public :: free_memory_type, available_memory
   public :: bytes_per_entry, bytes_per_state, bytes_per_event, bytes_per_task
   public :: merged_entry, merged_state, base_bytes, most_numbers
   public :: check_memory, enough_memory, size_text
@@ -47,18 +48,6 @@ module battery_available_memory
 
   !> Stands for a missing number; as a number of kilobytes, its bytes are still finite.
   real(dp), parameter :: none = huge(1.0_dp)/kilobyte
-
-  !> Reduces the address space that threads reserve, if it is limited; to be called before there are
-  !> threads.
-  procedure(action), bind(c, name='spare_address_space_of_threads') :: spare_address_space
-
-  interface
-    real(c_double) function process_memory_limit(of_data) bind(c)
-      import :: c_int, c_double
-      implicit none (type, external)
-      integer(c_int), value, intent(in) :: of_data
-    end function process_memory_limit
-  end interface
 
 contains
 
@@ -110,104 +99,63 @@ contains
     integer, intent(in) :: sharing
 
     available%limit = 'no limit'
-    call reduce_to_limit(available, kilobyte*number_after('/proc/meminfo', 'MemAvailable:') &
-      /sharing, 'free memory')
-    call reduce_to_limit(available, bytes_in_groups()/sharing, 'memory of the control group')
-    call reduce_to_limit(available, bytes_under_limit(0_c_int, 'VmSize:'), &
+    call reduce(kilobyte*number_after('/proc/meminfo', 'MemAvailable:')/sharing, 'free memory')
+    call reduce(bytes_in_groups('/sys/fs/cgroup', '0::', 'memory.max', 'memory.current', &
+      'inactive_file ')/sharing, 'memory of the control group')
+    call reduce(bytes_in_groups('/sys/fs/cgroup/memory', 'memory:', 'memory.limit_in_bytes', &
+      'memory.usage_in_bytes', 'total_inactive_file ')/sharing, 'memory of the control group')
+    call reduce(memory_limit(0_c_int) - kilobyte*number_after('/proc/self/status', 'VmSize:'), &
       'address space, ulimit -v')
-    call reduce_to_limit(available, bytes_under_limit(1_c_int, 'VmData:'), 'data, ulimit -d')
+    call reduce(memory_limit(1_c_int) - kilobyte*number_after('/proc/self/status', 'VmData:'), &
+      'data, ulimit -d')
+
+  contains
+
+    !> Reduces the available memory to `bytes` if that is less.
+    subroutine reduce(bytes, limit)
+      real(dp), intent(in) :: bytes
+      character(len=*), intent(in) :: limit
+
+      if (bytes >= available%bytes) return
+      available%bytes = max(bytes, 0.0_dp)
+      available%limit = limit
+    end subroutine reduce
+
   end function available_memory
 
-  !> Reduces the available memory to `bytes` if that is less.
-  pure subroutine reduce_to_limit(available, bytes, limit)
-    type(free_memory_type), intent(inout) :: available
-    real(dp), intent(in) :: bytes
-    character(len=*), intent(in) :: limit
-
-    if (bytes >= available%bytes) return
-    available%bytes = max(bytes, 0.0_dp)
-    available%limit = limit
-  end subroutine reduce_to_limit
-
-  !> Bytes left below a limit of this process; `used` names the used bytes in its status.
-  real(dp) function bytes_under_limit(of_data, used) result(bytes)
-    integer(c_int), intent(in) :: of_data
-    character(len=*), intent(in) :: used
-
-    bytes = process_memory_limit(of_data)
-    if (bytes < 0.0_dp) then
-      bytes = huge(1.0_dp)
-    else
-      bytes = bytes - kilobyte*number_after('/proc/self/status', used)
-    end if
-  end function bytes_under_limit
-
-  !> Bytes left in the control groups of this process, and in all groups above them.
-  real(dp) function bytes_in_groups() result(bytes)
-    character(len=1024) :: line
-    integer :: unit, status, colon
+  !> Least number of bytes left in the control group of this process and the groups above it; within
+  !> a container only the beginning of the path may exist. Cached pages of files that are not in use
+  !> count as available.
+  real(dp) function bytes_in_groups(root, controller, limit, used, idle) result(bytes)
+    !> Folder of all groups; what stands before the path in the list of the process' groups; names
+    !> of the limit, and of used bytes and bytes of idle pages.
+    character(len=*), intent(in) :: root, controller, limit, used, idle
+    character(len=:), allocatable :: group
+    real(dp) :: most, now, spare
 
     bytes = huge(1.0_dp)
-    open (newunit=unit, file='/proc/self/cgroup', action='read', status='old', iostat=status)
-    if (status /= 0) return
-    do
-      read (unit, '(a)', iostat=status) line
-      if (status /= 0) exit
-      colon = index(line, ':', back=.true.)
-      if (index(line, '0::') == 1) then
-        bytes = min(bytes, bytes_in_group_and_parents('/sys/fs/cgroup', trim(line(4:)), &
-          'memory.max', 'memory.current', 'inactive_file '))
-      else if (index(line, ':memory:') > 0) then
-        bytes = min(bytes, bytes_in_group_and_parents('/sys/fs/cgroup/memory', &
-          trim(line(colon + 1:)), 'memory.limit_in_bytes', 'memory.usage_in_bytes', &
-          'total_inactive_file '))
-      end if
-    end do
-    close (unit)
-  end function bytes_in_groups
-
-  !> Least number of bytes left in a control group and the groups above it; within a container only
-  !> the beginning of the path may exist. Cached pages of files that are not in use count as
-  !> available.
-  function bytes_in_group_and_parents(root, path, limit, used, idle) result(bytes)
-    character(len=*), intent(in) :: root, path, limit, used, idle
-    real(dp) :: bytes, most, now, spare
-    integer :: length
-
-    bytes = huge(1.0_dp)
-    length = len(path)
-    do
-      if (path(:length) == '/') length = 0
-      most = number_after(root//path(:length)//'/'//limit, '')
-      now = number_after(root//path(:length)//'/'//used, '')
-      spare = number_after(root//path(:length)//'/memory.stat', idle)
+    group = text_after('/proc/self/cgroup', controller)
+    if (group == '') return
+    group = root//group
+    do while (len(group) >= len(root))
+      most = number_after(group//'/'//limit, '')
+      now = number_after(group//'/'//used, '')
+      spare = number_after(group//'/memory.stat', idle)
       if (most < none .and. now < none) &
         bytes = min(bytes, most - now + merge(spare, 0.0_dp, spare < most))
-      if (length == 0) exit
-      length = index(path(:length), '/', back=.true.) - 1
-      if (length < 0) exit
+      group = group(:index(group, '/', back=.true.) - 1)
     end do
-  end function bytes_in_group_and_parents
+  end function bytes_in_groups
 
-  !> Number after a name at the beginning of a line of a file, such as `MemAvailable:  123 kB`;
-  !> `none` if there is no number, as in `max`.
+  !> Number after a name in a file of the system; `none` if there is no number, as in `max`.
   real(dp) function number_after(file, name) result(number)
     character(len=*), intent(in) :: file, name
-    character(len=256) :: line
-    integer :: unit, status
+    character(len=:), allocatable :: text
+    integer :: status
 
-    number = none
-    open (newunit=unit, file=file, action='read', status='old', iostat=status)
-    if (status /= 0) return
-    do
-      read (unit, '(a)', iostat=status) line
-      if (status /= 0) exit
-      if (index(line, name) /= 1) cycle
-      read (line(len(name) + 1:), *, iostat=status) number
-      if (status /= 0) number = none
-      exit
-    end do
-    close (unit)
+    text = text_after(file, name)
+    read (text, *, iostat=status) number
+    if (status /= 0) number = none
   end function number_after
 
 end module battery_available_memory

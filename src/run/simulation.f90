@@ -12,7 +12,7 @@ module battery_simulation
   use battery_engine, only: engine_type, particles_type, allocate_particles
   use battery_event_record, only: event_record_type
   use battery_observer, only: end_series, observer_type, new_observer, observe_window, &
-    begin_measuring, serialize_observer
+    begin_measuring, measured_time, serialize_observer
   use battery_engines, only: new_engine, explain_refusal, bytes_per_particle
   use battery_event_log, only: event_log_type, append_events, serialize_events
   use battery_archive, only: archive_type
@@ -335,8 +335,7 @@ contains
       call fatal_error(error, 'no memory for the series and the event log: ended after ' &
         //to_text(simulation%observer%entries)//' entries and '//to_text(simulation%events%count) &
         //' events; a longer &output series_interval, no event_log or a shorter run needs less')
-    else if (simulation%done .and. .not. simulation%observer%time + simulation%observer%block_time &
-      > 0.0_wp) then
+    else if (simulation%done .and. .not. measured_time(simulation%observer) > 0.0_wp) then
       call fatal_error(error, 'nothing is left for the averages: the transient of ' &
         //to_text(simulation%setup%transient_collisions)//' wall collisions ended with the run, ' &
         //'after '//to_text(simulation%collisions)//'; more &run collisions are needed')

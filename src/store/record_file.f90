@@ -18,9 +18,7 @@ module battery_record_file
   type :: record_type
     !> What the record belongs to: for a result or a state of a task, its `task_id`.
     integer(int64) :: owner = 0
-    !> Number of the task in the plan; other records: chosen by the caller.
-    integer(int64) :: tag = 0
-    !> Of records with the same owner and tag, that with the greatest generation is the newest.
+    !> Of records with the same owner, that with the greatest generation is the newest.
     integer(int64) :: generation = 0
     integer(int64), allocatable :: word(:)
   end type record_type
@@ -36,7 +34,8 @@ module battery_record_file
   !> First word of every record.
   integer(int64), parameter :: mark = int(z'6261747465727932', int64)
 
-  !> Words of a header (mark, owner, tag, generation, number of words), and bytes of a word.
+  !> Words of a header (mark, owner, 0, generation, number of words), and bytes of a word. The third
+  !> had a meaning once.
   integer, parameter :: head_size = 5, word_bytes = 8
 
 contains
@@ -50,7 +49,7 @@ contains
     type(error_type), allocatable, intent(out) :: error
     integer(int64) :: head(head_size), sum
 
-    head = [mark, record%owner, record%tag, record%generation, size(record%word, kind=int64)]
+    head = [mark, record%owner, 0_int64, record%generation, size(record%word, kind=int64)]
     sum = fingerprint_start
     call mix_words(sum, head)
     call mix_words(sum, record%word)
@@ -99,7 +98,6 @@ contains
     if (.not. found) return
     reader%at = reader%at + word_bytes*(head_size + head(head_size) + 1)
     record%owner = head(2)
-    record%tag = head(3)
     record%generation = head(4)
   end subroutine next_record
 

@@ -217,13 +217,14 @@ contains
   !> Reads the numbers of an open file, except the parameters of points; task outputs are read one
   !> by one (`serialize_slabs`). Its datasets must be those that follow from its namelist; otherwise
   !> the error has the code `exit_bad_input`. A file of another version has other datasets: the code
-  !> is `exit_failure`.
+  !> is `exit_failure`. They may be read several times.
   subroutine read_results(file, results, error)
     !> File from `open_results`; closed after an error.
     type(results_file_type), intent(inout) :: file
     type(results_type), intent(out) :: results
     type(error_type), allocatable, intent(out) :: error
 
+    call close_outputs(file%hdf5_file_type, file%outputs, error)
     if (file%version /= program_version) then
       call fatal_error(error, file%name//' is of another version')
     else

@@ -356,7 +356,10 @@ contains
       wait = time
     end do
     wait = max(wait, 0.0_wp)
-    if (enters < wait - polygon%tolerance) side = 0
+    if (side == 0 .or. enters > wait + polygon%tolerance) return
+    ! The path enters before it leaves, or where it does: it may run outside from corner to corner.
+    if (enters < wait - polygon%tolerance .or. .not. is_in_polygon(polygon, x &
+      + 0.5_wp*wait*ux, y + 0.5_wp*wait*uy, polygon%tolerance)) side = 0
   end subroutine find_nearest_side_ahead
 
   !> As `find_next_side`, but also for a particle that moves along a side, or that rounding has put

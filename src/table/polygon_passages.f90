@@ -191,8 +191,9 @@ contains
   end subroutine find_only_side
 
   !> As `find_only_side`, in any polygon: finds the nearest of the sides that a path leaves through.
-  !> If the path enters through another one before, rounding in a corner has put the particle
-  !> outside: no side is found, or it would cross what lies between two parts of the urn.
+  !> If the path enters through another one before, or where it leaves, rounding in a corner may have
+  !> put the particle outside: no side is found, or it would cross what lies between two parts of the
+  !> urn.
   !> Where it runs along that side, the time of the hit is a quotient of rounding errors, and the
   !> particle could pass the corner at the end of the side: no side is found either, and
   !> `continue_alone` bounds the time by the corners.
@@ -240,7 +241,7 @@ contains
       end do
     end do
     do j = 1, n
-      met = merge(1.0_wp, 0.0_wp, enters(j) >= soonest(j) - tolerance .and. normal_x(j)*ux(j) &
+      met = merge(1.0_wp, 0.0_wp, enters(j) > soonest(j) + tolerance .and. normal_x(j)*ux(j) &
         + normal_y(j)*uy(j) > grazing)
       normal_x(j) = met*normal_x(j)
       normal_y(j) = met*normal_y(j)

@@ -286,13 +286,20 @@ contains
     if (passage%chamber == in_urn) return
     passage%channel = merge(channel2, channel1, passage%chamber == in_channel2)
     associate (urn => table%urn(passage%urn), channel => table%channel(passage%channel))
-      passage%trapped = .not. abs(ux)*min(longest_run*urn%reach, &
-        most_hits*channel%width) > channel%length
-      if (passage%trapped) return
       ! Distance beyond the chord, and velocity away from it.
       depth = urn%channel_start(channel1) - abs(x)
       if (passage%channel == channel2) depth = abs(x) - urn%centre - urn%chord(channel2)
       outward = facing(passage%channel)*urn%axis_sign*ux
+      passage%trapped = .not. abs(ux)*min(longest_run*urn%reach, &
+        most_hits*channel%width) > channel%length
+      if (passage%trapped) then
+        ! Who moves along the chord, and not away from it, is in the urn.
+        if (depth > 0.0_wp .or. outward > 0.0_wp) return
+        passage%trapped = .false.
+        passage%chamber = in_urn
+        passage%channel = no_channel
+        return
+      end if
       passage%time = -depth/outward
       passage%moves_away = outward > 0.0_wp
       if (passage%moves_away) call fold_into_channel(y - uy*depth/outward, channel%width, &

@@ -39,18 +39,21 @@ module battery_visits
     !> Before `compute_passages`: the channel before the urn; after it: the next channel, or
     !> `no_channel`.
     integer(int64), allocatable :: channel(:)
-    !> After `compute_passages`: time through the next channel, from end to end.
+    !> After `compute_passages`: time through the next channel, from end to end; of a truncated
+    !> visit, half the length of the part.
     real(wp), allocatable :: through(:)
     !> Position in the frame of the urn. Before `cross_channels`: y at the channel's entrance; after
     !> it: on the chord through which it enters the urn; after `compute_passages`: on the one
     !> through which it leaves.
     real(wp), allocatable :: x(:), y(:)
     !> Velocity. Before `cross_channels`: |u_x| and u_y in the channel; after it: in the frame of
-    !> the urn; after `compute_passages`: |u_x| and u_y in the next channel. For a particle that
-    !> never leaves: cosine and sine of the incidence, and y is the angle of an impact.
+    !> the urn; after `compute_passages`: |u_x| and u_y in the next channel.
+    !>
+    !> For a particle that never leaves, and for a truncated visit, y and the velocity describe an
+    !> impact. In a disc: its angle, and cosine and sine of the incidence. In a polygon: its place,
+    !> an arc length along the outline, and u_x and u_y after it in the frame of the urn.
     real(wp), allocatable :: u_axial(:), u_lateral(:)
-    !> After `compute_passages`: length of the path through the urn; for a particle that never
-    !> leaves, until the impact at angle y, which follows `impacts` others.
+    !> After `compute_passages`: length of the path through the urn, or until that impact.
     real(wp), allocatable :: length(:)
     !> Wall hits in the channel and in the urn, whole numbers.
     real(wp), allocatable :: hits(:)
@@ -60,13 +63,16 @@ module battery_visits
     !> never end, or are truncated, and their indices. The list may contain others too.
     integer :: many_hits_count = 0
     integer, allocatable :: many_hits_index(:)
-    !> Work space of the kernel: impact, rotation, steps, and the visit that they belong to.
+    !> Work space of the kernels, of which each has its own use for it. An element belongs to the
+    !> visit `slot`. In a disc: impact, rotation from one impact to the next, number of rotations.
+    !> In a polygon: position, velocity, hits so far.
     real(wp), allocatable :: px(:), py(:), zx(:), zy(:), steps(:)
     integer, allocatable :: slot(:)
-    !> Cosine and sine of the incidence, impact in the opening, number of impacts before it; for a
-    !> particle that never leaves, -1 minus the number of impacts after which that was found.
+    !> In a disc: cosine and sine of the incidence, impact in the opening, number of impacts before
+    !> it; for a particle that never leaves, -1 minus the number of impacts after which that was
+    !> found. In a polygon `c` is 1 until the visit ends, then 0; the others are not used.
     real(wp), allocatable :: c(:), s(:), hit_x(:), hit_y(:), impacts(:)
-    !> Length until the first impact.
+    !> In a disc: length until the first impact. In a polygon: length so far.
     real(wp), allocatable :: first(:)
   end type visits_type
 

@@ -21,8 +21,8 @@ HERE = Path(__file__).parent
 SPREAD, CURRENT = 0.9291, 1.0168  # of the billiard at T = 7, by 88 runs of 1e6 time units
 
 
-def _battery(folder: Path, engine: str, duration: float, **more: float) -> dict[str, Answer]:
-    changes = {"run": {"engine": engine, "duration": duration, **more}}
+def _battery(folder: Path, engine: str, duration: float) -> dict[str, Answer]:
+    changes = {"run": {"engine": engine, "duration": duration}}
     return ladder.battery_answers(Study(folder, HERE).run("battery", engine, changes))
 
 
@@ -33,21 +33,10 @@ def _sigmas(one: Answer, other: Answer) -> float:
 @pytest.fixture(scope="module")
 def runs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, dict[str, Answer]]:
     folder = tmp_path_factory.mktemp("ladder")
-    found = {
+    return {
         "excursion": _battery(folder, "excursion", 32000.0),
         "reservoir": _battery(folder, "reservoir", 8000.0),
-        "collision": _battery(folder, "collision", 1500.0),
-        "timestep": _battery(folder, "timestep", 700.0, time_step=0.03),
     }
-    found["synchronous"] = _battery(folder, "synchronous", 700.0)
-    return found
-
-
-@pytest.mark.parametrize("engine", ["excursion", "collision", "synchronous"])
-def test_exact_engines_find_the_billiard(runs: dict, engine: str) -> None:
-    chi, current = runs[engine]["chi"], runs[engine]["current"]
-    assert abs(chi.value - SPREAD) < 5.0 * chi.error
-    assert abs(current.value - CURRENT) < 5.0 * current.error + 0.02  # short runs: no long rounds
 
 
 def test_reservoir_lies_between_the_papers_theory_and_the_billiard(runs: dict) -> None:
@@ -56,13 +45,6 @@ def test_reservoir_lies_between_the_papers_theory_and_the_billiard(runs: dict) -
     assert reservoir.value + 5.0 * reservoir.error < paper
     assert _sigmas(reservoir, billiard) > 5.0
     assert _sigmas(runs["excursion"]["current"], runs["reservoir"]["current"]) > 4.0
-
-
-def test_fixed_step_is_far_below_all_others(runs: dict) -> None:
-    step = runs["timestep"]
-    for name in ("excursion", "reservoir"):
-        assert _sigmas(runs[name]["chi"], step["chi"]) > 5.0
-        assert _sigmas(runs[name]["current"], step["current"]) > 5.0
 
 
 def test_memory_of_the_urns_moves_the_transition(tmp_path: Path) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import json
 import math
 from dataclasses import replace
 from pathlib import Path
@@ -20,7 +19,6 @@ from studies.accuracy.ladder_map import Told
 from studies.common.study import Study
 
 HERE = Path(__file__).parent
-KEPT = json.loads((HERE / "accuracy_numbers.json").read_text())["ladder_map"]
 SIZE = len(ladder_map.points())
 EXCURSION = next(rung for rung in ladder.RUNGS if rung.name == "excursion")
 

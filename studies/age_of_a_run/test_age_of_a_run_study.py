@@ -1,4 +1,4 @@
-"""The age of a run: bins of age, a short run with the theory beside it, the picture."""
+"""The age of a run: bins of age, a short run with the theory beside it."""
 
 from __future__ import annotations
 
@@ -37,12 +37,3 @@ def test_rows_have_runs_and_theory_of_each_age(
     published = csv.DictReader((HERE / "results.csv").open())
     here = next(row for row in published if row["point"] == "reference" and row["to"] == "100")
     assert rows[0]["theory"] == pytest.approx(float(here["theory"]), rel=1e-4)
-
-
-def test_picture_is_relative_to_the_last_bin() -> None:
-    with (HERE / "results.csv").open() as file:
-        rows = [{key: value if key == "point" else float(value) for key, value in row.items()}
-                for row in csv.DictReader(file)]  # fmt: skip
-    for axes in ages.figure(rows).axes:
-        assert len(axes.containers) == len(ages.POINTS)
-        assert all(one.lines[0].get_ydata()[-1] == 0.0 for one in axes.containers)

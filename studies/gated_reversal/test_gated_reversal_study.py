@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import json
 import math
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from postproc.tests.looks import assert_looks_apart
 from studies.common.event_log import Log, outward_stays, particle_events
 from studies.common.study import Study
 from studies.gated_reversal import examples, pasts
@@ -118,21 +116,6 @@ def test_each_way_to_the_present_keeps_volume_and_both_end_there() -> None:
         assert pasts.present(other, 1) == pytest.approx(end, abs=1e-12)
 
 
-def test_picture_of_the_pasts_ends_in_one_state() -> None:
-    panels = pasts.figure_pasts().axes
-    ends = [
-        sorted(
-            (float(line.get_ydata()[0]), line.get_color())
-            for line in axes.lines
-            if line.get_marker() == "o" and line.get_xdata()[0] == pasts.PAST_TIME
-        )
-        for axes in panels
-    ]
-    assert [round(x, 9) for x, _ in ends[0]] == [0.6, 0.8, 1.0]
-    for one, other in zip(*ends, strict=True):
-        assert one == (pytest.approx(other[0]), other[1])
-
-
 def test_reversals_of_one_run_count_as_one_in_the_error() -> None:
     random = np.random.default_rng(4)
     chance = random.uniform(0.2, 0.8, 400)  # of a run, whose reversals share it
@@ -150,13 +133,3 @@ def test_run_backwards_parts_where_the_log_says(tmp_path: Path) -> None:
     assert found["parting_as_told"] == found["turns"] == 3
     assert found["parting_median"] < 12.0
     assert 0.0 < found["undone"] < 1.0
-
-
-def test_picture_and_tables_of_kept_numbers(tmp_path: Path) -> None:
-    stored = json.loads((HERE / "numbers.json").read_text())  # of a quick run
-    assert_looks_apart(gated.figure_reversal(**stored))
-    gated.tables(Study(tmp_path), **stored)
-    rows = (tmp_path / "scan.csv").read_text().splitlines()
-    assert rows[2] == "10,1,0.10,0.025,0.9245 +- 0.0035"
-    rows = (tmp_path / "turned.csv").read_text().splitlines()
-    assert rows[1] == "100,1,310,63.2 +- 2.9 %,0.98"

@@ -5,9 +5,7 @@ Each part makes runs, and prints numbers with standard errors over replicas:
 - flows: flow of channel 1 from urn 1 at T = 18, runs of comp05.nml, and theories (5 s);
 - slices: chi over T, and current over chi, of paper_slice.nml (15 s);
 - single: what eq. (eqapp5) adds to the current of the single urn, by w and T (5 s);
-- one_channel: chi against N w l/(8 T A) without channel 2 (25 s);
-- polygons: currents of four shapes of urns at T = 7 (5 s);
-- discs: current over chi with 15 discs in channel 2 (5 s), and both starts at N = 4000 (30 s).
+- one_channel: chi against N w l/(8 T A) without channel 2 (25 s).
 """
 
 from __future__ import annotations
@@ -20,7 +18,6 @@ import postproc
 from postproc.theory.circuit import Circuit, flow1
 from postproc.theory.gates import WINDOW
 from postproc.theory.renewal import RENEWAL
-from postproc.theory.states import stable_state
 from studies.common import geometry, study
 from studies.common.numbers import mean_of
 from studies.common.study import NAMELISTS
@@ -30,21 +27,11 @@ if TYPE_CHECKING:
     import xarray as xr
 
 POLARISED = 0.3  # chi above which a state is called so
-NARROW, WIDE = 0.01, 0.2  # w' of the circuits with polygons, and with discs in channel 2
 
 
 def plain(width: float) -> float:
     """Return the flow of channel 2 at chi = 1 between well mixed urns, N = 1000, w = 0.3."""
     return 1000.0 * width / (math.pi * geometry.urn_area(width))
-
-
-def made(
-    work: study.Study, name: str, run: dict[str, object], scan: dict[str, object],
-    **groups: dict[str, object],
-) -> xr.Dataset:  # fmt: skip
-    """Run N = 1000, w = 0.3, unless the groups say otherwise; return the results."""
-    own = {"particles": {"number": 1000}, **groups, "run": run, "scan": scan}
-    return postproc.open_results(work.run(own, name))
 
 
 def mean(values: np.ndarray) -> str:
@@ -104,42 +91,7 @@ def one_channel(work: study.Study) -> None:
             print(f"N = {number}, {number * 0.5 * length / (8.0 * threshold * area):.3f}: {text}")
 
 
-def polygons(work: study.Study) -> None:
-    """Print chi and current of four shapes of one area, and over that of well mixed urns."""
-    state = stable_state(Circuit(1000, 7, gate=RENEWAL, occupation=True))
-    for shape, table in geometry.shapes(NARROW).items():
-        data = made(work, shape.replace(" ", "_"),
-                    {"duration": 6000.0, "transient_duration": 4000.0},
-                    {"urn1_fraction": [1.0], "replicas": 32},
-                    table={"channel2_width": NARROW, **table},
-                    gate={"threshold": 7})  # fmt: skip
-        current = data.polarised_current.to_numpy().ravel()
-        print(f"{shape}: chi {mean(data.chi.to_numpy().ravel())}, current {mean(current)}, "
-              f"over that of well mixed urns {mean(current / state.net_current)}")  # fmt: skip
-
-
-def discs(work: study.Study) -> None:
-    """Print the conductance of channel 2 with 15 discs over T; chi of both starts at N = 4000."""
-    table = {"channel2_width": WIDE, "scatterers": geometry.lattice(6, 0.015)}
-    data = made(work, "discs", {"duration": 3000.0, "transient_duration": 1000.0},
-                {"threshold": [8, 9, 11, 13, 14], "replicas": 16}, table=table)  # fmt: skip
-    for threshold in data.threshold.to_numpy():
-        here = data.sel(threshold=threshold)
-        share = here.polarised_current.to_numpy() / (plain(WIDE) * here.chi.to_numpy())
-        print(f"T = {threshold}: chi {mean(here.chi.to_numpy())}, current over chi {mean(share)} "
-              "of a straight channel")  # fmt: skip
-    for number, radius in ((1000, 0.015), (4000, 0.012)):
-        table["scatterers"] = geometry.lattice(6, radius)
-        data = made(work, f"starts_{number}", {"duration": 16000.0, "transient_duration": 8000.0},
-                    {"urn1_fraction": [0.5, 1.0], "replicas": 8}, table=table,
-                    particles={"number": number},
-                    gate={"threshold": 7 * number // 1000})  # fmt: skip
-        starts = (data.chi.to_numpy().reshape(2, -1)[at] for at in (0, 1))
-        print(f"N = {number}, radius {radius:g}: chi {' and '.join(map(mean, starts))} "
-              "from even urns and from one full urn")  # fmt: skip
-
-
-PARTS = (flows, slices, single, one_channel, polygons, discs)
+PARTS = (flows, slices, single, one_channel)
 
 if __name__ == "__main__":
     raise SystemExit(study.main(__file__, __doc__, {part.__name__: part for part in PARTS}))

@@ -277,20 +277,10 @@ CASES = [
     ),
 ]
 
-# What the program itself has for `--self-test`: few particles and events, and an urn alone.
-OWN = [
-    Case(
-        "circuit", "two urns, both channels", Table(width1=0.75, width2=0.375), 1, 20.0, in_urns(16)
-    ),
-    Case(
-        "urn",
-        "one urn with an end wall",
-        Table("urn", width1=0.75, length1=0.5),
-        1,
-        20.0,
-        in_urns(16, 1.0),
-    ),
-]
+# What the program itself has for `--self-test`: few particles and events.
+OWN = Case(
+    "circuit", "two urns, both channels", Table(width1=0.75, width2=0.375), 1, 20.0, in_urns(16)
+)
 
 # For `reservoir`, which draws random numbers: run below the namelist, with a seed of its own.
 STOCHASTIC = [

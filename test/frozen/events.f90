@@ -35,7 +35,7 @@ program events
   if (allocated(error)) error stop error%message
   engine%time_step = time_step
   engine%seed = 1
-  call engine%start(table, threshold, particles, start_time)
+  call engine%start(table, [threshold, threshold], particles, start_time)
   event_record%logging = .true.
   elapsed = 0.0_wp
   do while (duration - elapsed > 4.0_wp*epsilon(1.0_wp)*duration)

@@ -6,8 +6,8 @@ By hand, after `make build build/bin/events-real64 build/bin/events-real128`:
 
 The times and places that are written are those of quadruple precision. A case is only written if
 the program finds the same events in the same order by every engine, and if events that are not of
-one instant are further apart than the tolerance. `own` makes the logs that the program has in
-itself for `--self-test`, a Fortran module.
+one instant are further apart than the tolerance. `own` makes the run that the program has in itself
+for `--self-test`.
 """
 
 from __future__ import annotations
@@ -30,8 +30,11 @@ Differences = dict[str, tuple[float, float]]
 # So many times the greatest difference that was seen is allowed; never less than `LEAST`, and
 # never more than `MOST`, in units of the radius.
 MARGIN, LEAST, MOST = 100.0, 1.0e-12, 2.0e-6
-# The module with the program's own logs, whose numbers have so many digits behind the point.
-OWN_LOGS, DIGITS = ROOT / "src/run/frozen_logs.f90", 12
+# The module with the program's own run, whose numbers have so many digits behind the point, between
+# these comments.
+SELF_TEST, DIGITS = ROOT / "src/ensemble/self_test.f90", 12
+BEGIN = "  ! Written by test/frozen/freeze.py from a run in quadruple precision.\n\n"
+END = "  ! End of what freeze.py writes.\n"
 
 
 class NotFrozenError(Exception):
@@ -174,7 +177,7 @@ def freeze(case: Case) -> str:
 
 
 def numbers(case: Case, particles: str, answer: Answer, digits: str) -> list[str]:
-    """Give a case as `battery_frozen_log` reads it: numbers alone, counts first."""
+    """Give a case as `test_frozen.pf` reads it: numbers alone, counts first."""
     table = case.table
     lengths = (table.radius, table.width1, table.length1, table.width2, table.length2)
     lines = [
@@ -214,56 +217,44 @@ def freeze_stochastic(case: Case) -> str:
 
 
 def freeze_own() -> str:
-    """Make the module with the program's own logs."""
-    logs = {}
-    for case in OWN:
-        frozen = Frozen(*input_of(case), {})
-        for name, engines in (("exact", EXACT), ("timestep", ("timestep",)), ("reservoir", ())):
-            if case.name != "circuit" and name != "exact":
-                continue
-            if name == "reservoir":
-                answer = frozen_reservoir(case, frozen.particles)[0]
-            else:
-                reference = "collision" if name == "exact" else name
-                answer = of_precision(case, frozen.particles, reference)
-                differences = {
-                    engine: difference(answer, of_program(frozen, engine), engine)
-                    for engine in engines
-                }
-                settled(answer, differences, case.table.radius, name)
-            # No closer than the digits that are kept.
-            least = MARGIN * 10.0**-DIGITS
-            answer.tolerance = max(answer.tolerance, least)
-            answer.final_tolerance = max(answer.final_tolerance, least)
-            logs[f"{name}_{case.name}"] = (
-                f"{case.about}: {len(answer.events)} events",
-                numbers(case, frozen.particles, answer, f".{DIGITS}f"),
-            )
-    OWN_LOGS.write_text(module_of(logs), encoding="utf-8")
-    return ", ".join(f"{name}: {about}" for name, (about, _) in logs.items())
-
-
-def module_of(logs: dict[str, tuple[str, list[str]]]) -> str:
-    """Write the logs as a Fortran module."""
+    """Write the run that the program has in itself."""
+    frozen = Frozen(*input_of(OWN), {})
+    answer = of_precision(OWN, frozen.particles, "collision")
+    differences = {
+        engine: difference(answer, of_program(frozen, engine), engine) for engine in EXACT
+    }
+    settled(answer, differences, OWN.table.radius, "own")
+    # No closer than the digits that are kept.
+    least = MARGIN * 10.0**-DIGITS
+    rows = numbers(OWN, frozen.particles, answer, f".{DIGITS}f")[3:]
+    starts, events = len(frozen.particles.splitlines()), len(answer.events)
     lines = [
-        "!> Frozen event logs that the program has in itself, in the format that",
-        "!> `battery_frozen_log` reads. `test/frozen/freeze.py own` makes this file from",
-        "!> runs in quadruple precision.",
-        "module battery_frozen_logs",
-        "  implicit none (type, external)",
-        "  private",
-        f"  public :: {', '.join(logs)}",
+        "  !> Largest differences of times, and of final positions and velocities.",
+        f"  real(wp), parameter :: time_tolerance = {max(answer.tolerance, least):.1e}_wp, "
+        f"final_tolerance = {max(answer.final_tolerance, least):.1e}_wp",
+        *array_of("start_lines", "x, y, ux, uy of each particle at the start", rows[:starts]),
+        *array_of("event_lines", "Kind, where, particle, time of each event",
+                  rows[starts:starts + events]),
+        *array_of("final_lines", "x, y, ux, uy of each particle at the end",
+                  rows[starts + events:]),
+    ]  # fmt: skip
+    before, _, rest = SELF_TEST.read_text(encoding="utf-8").partition(BEGIN)
+    after = rest.partition(END)[2]
+    SELF_TEST.write_text(before + BEGIN + "\n".join(lines) + "\n\n" + END + after, encoding="utf-8")
+    return f"{events} events"
+
+
+def array_of(name: str, about: str, rows: list[str]) -> list[str]:
+    """Write an array of texts in Fortran."""
+    width = max(map(len, rows))
+    kind = f"character(len={width})"
+    return [
+        "",
+        f"  !> {about}.",
+        f"  {kind}, parameter :: {name}({len(rows)}) = [{kind} :: &",
+        *(f"    '{row}', &" for row in rows[:-1]),
+        f"    '{rows[-1]}']",
     ]
-    for name, (about, rows) in logs.items():
-        width = max(map(len, rows))
-        lines += [
-            "",
-            f"  !> {about[0].upper()}{about[1:]}.",
-            f"  character(len={width}), parameter :: {name}({len(rows)}) = "
-            f"[character(len={width}) :: &",
-        ]
-        lines += [f"    '{row}', &" for row in rows[:-1]] + [f"    '{rows[-1]}']"]
-    return "\n".join([*lines, "", "end module battery_frozen_logs"]) + "\n"
 
 
 def main() -> int:

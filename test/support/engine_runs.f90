@@ -31,18 +31,20 @@ module engine_runs
 contains
 
   !> Creates an engine by its name and starts it at the time 0 with a copy of the particles.
-  subroutine begin(name, table, threshold, particles, engine)
+  subroutine begin(name, table, threshold, particles, engine, seed)
     character(len=*), intent(in) :: name
     type(table_type), intent(in) :: table
     integer, intent(in) :: threshold(2)
     type(particles_type), intent(in) :: particles
     class(engine_type), allocatable, intent(out) :: engine
+    integer(int64), intent(in), optional :: seed
     type(error_type), allocatable :: error
     type(particles_type) :: given
 
     call new_engine(trim(name), engine, error)
     engine%time_step = 1.0e-4_wp
     engine%seed = 5_int64
+    if (present(seed)) engine%seed = seed
     given = particles
     call engine%start(table, threshold, given, 0.0_wp)
   end subroutine begin

@@ -20,6 +20,8 @@ module law_tables
     single_wedge = 16, single_re_entrant = 17, hexagons = 18, decagon_crooked = 19, &
     re_entrant_square = 20
   integer, parameter, public :: tables = 20
+  !> Beyond them: both channels almost as wide as the urns, or channel 1 within 1e-9.
+  integer, parameter, public :: wide = 21, widest = 22
 
   !> Images of a table: the table itself, mirrored at its middle line, mirrored at its axis.
   integer, parameter, public :: as_it_is = 0, left_right = 1, up_down = 2
@@ -70,6 +72,12 @@ contains
       channel = [channel_type(0.5_wp, 1.5_wp), channel_type(0.0_wp, 1.0_wp)]
     case (closed_wide)
       channel = [channel_type(1.5_wp, 1.0_wp), channel_type(0.0_wp, 1.0_wp)]
+    case (wide)
+      urn%radius = 1.0_wp
+      channel = [channel_type(1.999_wp, 0.5_wp), channel_type(1.9_wp, 0.7_wp)]
+    case (widest)
+      urn%radius = 1.0_wp
+      channel = [channel_type(2.0_wp - 1.0e-9_wp, 0.5_wp), channel_type(0.0_wp, 0.7_wp)]
     case (dense)
       urn%radius = 1.0_wp
       channel = [channel_type(1.2_wp, 3.0_wp), channel_type(0.1_wp, 0.1_wp)]

@@ -6,8 +6,8 @@ module battery_batch_window
   use battery_gate, only: gate_type, gate_window_type, reserve_gate_window, apply_rule_to_window, &
     number_inside
   use battery_ordering, only: sort_by_time
-  use battery_calendar, only: calendar_type, flight_type
-  use battery_flight, only: middle_time, never, to_gate, counted_in_gate
+  use battery_calendar, only: calendar_type
+  use battery_flight, only: flight_type, middle_time, never, to_gate, counted_in_gate
   use battery_visits, only: visits_type
   use battery_event_record, only: event_record_type, record_crossing, record_event, &
     record_reversal, crossing_of, event_entry

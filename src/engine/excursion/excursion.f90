@@ -13,16 +13,53 @@
 !> before then is computed backwards from that entry, or forwards from the start of a long visit;
 !> in a polygon, if that way meets a corner, along the path of the passage.
 !>
-!> This file has the type, one window (`advance_window`), the positions of particles, and the
-!> serialisation. Separate files have flights (`flight.f90`), the two ways to process the events of
-!> a window (`serial_window.f90`, `batch_window.f90`), visits computed before they begin
-!> (`precomputed_visits.f90`), long and truncated visits (`long_visits.f90`, `partial_visits.f90`),
-!> the starts of passages through polygons (`passage_starts.f90`),
-!> and tables with discs in channel 2 (`excursion_with_scatterers.f90`, `scatterer_visits.f90`).
+!> The algorithm, with the file of each step; files without a folder are in this one:
+!>
+!>     start                                                         engine/engine.f90
+!>       for each particle
+!>         flight := how it will enter its next channel              flight.f90
+!>         schedule the next event of the flight                     calendar.f90
+!>
+!>     advance by one window                                         `advance_window`
+!>       if the epoch is over: subtract its length from all times    `rebase_clock`
+!>       due := earliest pending event                               calendar.f90, gate/gate.f90
+!>       window_end := min(due + lookahead, now + duration, ...)
+!>       take all events before `window_end`, in the order of time   events/ordering.f90
+!>       set apart those at which a truncated visit is continued     partial_visits.f90
+!>
+!>       if few are left, one event at a time:                       serial_window.f90
+!>         before each: the crossings of the middle line up to it;
+!>           the gate no longer counts the particle;
+!>           a visit to the urn across the line begins
+!>         an entry: the gate counts the particle                    gate/gate.f90
+!>           if no more enter at this instant, and it counts more
+!>           than T: for all counted particles, visits to their
+!>           own urn begin
+!>         a crossing of the periodic line:
+!>           a visit to the urn across the line begins
+!>       else the same with arrays:                                  batch_window.f90
+!>         partition the events: gate 1, gate 2, periodic line
+!>         apply the rule of each gate to all its entries            gate/gate.f90
+!>         sort the crossings of all lines by time                   events/ordering.f90
+!>
+!>       for all visits that have begun, as one batch:             `compute_window_visits_straight`
+!>         load from the flights how they entered their channel      flight.f90
+!>         (with few events a window: together with visits that
+!>         begin in later windows)                                   precomputed_visits.f90
+!>         through the channel to the urn                            table/urn_shape.f90
+!>         through the urn to an opening                             table/urn.f90
+!>         store how each enters its next channel                    flight.f90
+!>         schedule the next events                                  calendar.f90
+!>
+!>       report crossings, reversals and wall hits                   engine/event_record.f90
+!>
+!> Besides these: starts of long visits (`long_visits.f90`) and of passages through polygons
+!> (`passage_starts.f90`), tables with discs in channel 2 (`excursion_with_scatterers.f90`,
+!> `scatterer_visits.f90`).
 module battery_excursion
   use battery_kinds, only: wp, int64, pi
   use battery_archive, only: archive_type
-  use battery_calendar, only: calendar_type, flight_type, new_calendar, epoch_for, schedule_event, &
+  use battery_calendar, only: calendar_type, new_calendar, epoch_for, schedule_event, &
     schedule_events, open_buckets_until, next_due_time, count_due_before, drop_done_events, &
     rebase_calendar
   use battery_table, only: channel1, channel2, in_channel2, urn_at, chamber_at, are_mirror_images, &
@@ -36,9 +73,10 @@ module battery_excursion
   use battery_gate, only: enter_gate, number_inside, first_crossing_time
   use battery_engine, only: engine_type, particles_type, rebase_gates_and_clock
   use battery_event_record, only: event_record_type, reserve_event_record
-  use battery_flight, only: new_flights, make_initial_flight, set_flight_to_visit_start, &
-    load_flights, store_flights, locate_particle, locate_trapped_particle, to_gate, &
-    to_periodic_line, counted_in_gate, trapped_in_urn, trapped_in_channel, partial_visit
+  use battery_flight, only: flight_type, new_flights, make_initial_flight, &
+    set_flight_to_visit_start, load_flights, store_flights, locate_particle, &
+    locate_trapped_particle, to_gate, to_periodic_line, counted_in_gate, trapped_in_urn, &
+    trapped_in_channel, partial_visit
   use battery_long_visits, only: long_visits_type, new_long_visits, is_long_visit, &
     store_visit_starts, is_nearer_start, locate_from_start, rebase_long_visits, &
     serialize_long_visits
@@ -322,6 +360,7 @@ contains
     do b = 1, self%batches
       associate (v => self%visits(b))
         if (self%precomputes_visits) then
+          ! There is one batch then (`prepare_engine`), and both urns are mirror images.
           call take_or_compute_visits(self%table%urn(1), self%number, self%flight, &
             self%calendar%sorted, self%calendar%particle, v, self%precomputed, &
             self%passage_starts, self%computed_hits)

@@ -5,12 +5,10 @@
 !> into a batch of visits and stored at their ends (`load_flights`, `store_flights`: kernels over
 !> flat arrays, a flight being one cache line), and yields the position at any time between
 !> (`locate_particle`). Earlier positions are computed backwards from it; for long visits the start
-!> is stored as well (`battery_long_visits`). `flight_type` is declared in `battery_calendar`, which
-!> uses its time `due`.
+!> is stored as well (`battery_long_visits`).
 module battery_flight
   use, intrinsic :: iso_c_binding, only: c_loc, c_size_t
-  use battery_kinds, only: wp, int16, int64
-  use battery_calendar, only: flight_type, idle_flight
+  use battery_kinds, only: wp, int16, int32, int64
   use battery_channel, only: fold_into_channel, facing
   use battery_memory, only: prefer_large_pages
   use battery_table, only: table_type, passage_type, passage_at, channel1, channel2, no_channel
@@ -18,19 +16,44 @@ module battery_flight
   use battery_visits, only: visits_type, truncated
   implicit none (type, external)
   private
-  public :: new_flights, make_initial_flight, set_flight_to_visit_start, load_flights, &
-    store_flights, locate_particle, locate_trapped_particle, trace_back_into_channel, &
-    way_back_meets_corner, middle_time, never
+  public :: flight_type, idle_flight, new_flights, make_initial_flight, set_flight_to_visit_start, &
+    load_flights, store_flights, locate_particle, locate_trapped_particle, &
+    trace_back_into_channel, way_back_meets_corner, middle_time, never
   public :: to_gate, to_periodic_line, counted_in_gate, trapped_in_urn, trapped_in_channel, &
     partial_visit
+
+  !> State of a particle between two of its events: its entry into a channel, or, if it is trapped
+  !> in the urn or its visit is truncated, an impact there (below). A record fills one cache line:
+  !> with many particles, the cost is that of reading one line per particle.
+  type :: flight_type
+    !> Time of the next event, for the calendar.
+    real(wp) :: due
+    !> Kind of that event; the urn that the particle leaves, 1 or 2.
+    integer(int16) :: next_event, urn
+    !> Slot of the next visit, if it is precomputed (`battery_precomputed_visits`); else 0.
+    integer(int32) :: precomputed_slot
+    !> Time, height, |u_x| and u_y at the entry into the next channel, or into the channel that the
+    !> particle is in.
+    real(wp) :: time, y, u_axial, u_lateral
+    !> Time through the channel if no gate reverses, and length of the passage through the
+    !> urn before it.
+    real(wp) :: through, length
+  end type flight_type
+
+  !> A flight without an event. It is no default initialisation, since the memory pages of large
+  !> arrays are chosen before the first write.
+  type(flight_type), parameter :: idle_flight = flight_type(0.0_wp, 0_int16, 0_int16, 0_int32, &
+    0.0_wp, 0.0_wp, 0.0_wp, 0.0_wp, 0.0_wp, 0.0_wp)
 
   !> Next events of a flight (`next_event`):
   !> - `to_gate`, `to_periodic_line`: the next event is the entry into a gate, or the crossing of
   !>   the periodic line.
   !> - `counted_in_gate`: inside a gate, counted by it.
-  !> - `trapped_in_urn`: never leaves; the flight holds one impact, as `visits_type` describes it.
+  !> - `trapped_in_urn`: never leaves; the flight holds one impact, as `visits_type` describes it,
+  !>   and its time.
   !> - `trapped_in_channel`: never leaves; time, y and u_y hold, x is stored elsewhere.
-  !> - `partial_visit`: as `trapped_in_urn`, until the next part of the visit is computed.
+  !> - `partial_visit`: as `trapped_in_urn`, until the next part of the visit is computed;
+  !>   `through` is the time from then to the impact.
   integer(int16), parameter :: to_gate = 1, to_periodic_line = 2, counted_in_gate = 3, &
     trapped_in_urn = 4, trapped_in_channel = 5, partial_visit = 6
 

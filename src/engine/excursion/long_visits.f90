@@ -10,10 +10,9 @@
 !> when the store is full.
 module battery_long_visits
   use battery_kinds, only: wp, int16, int32, int64
-  use battery_calendar, only: flight_type
   use battery_channel, only: fold_into_channel, channel1, channel2, facing, no_channel
-  use battery_flight, only: never, to_gate, to_periodic_line, trapped_in_urn, partial_visit, &
-    trace_back_into_channel
+  use battery_flight, only: flight_type, never, to_gate, to_periodic_line, trapped_in_urn, &
+    partial_visit, trace_back_into_channel
   use battery_archive, only: archive_type
   use battery_urn, only: urn_type, locate_in_passage, locate_after
   use battery_visits, only: visits_type

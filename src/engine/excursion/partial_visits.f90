@@ -6,8 +6,7 @@
 !> event within the lookahead.
 module battery_partial_visits
   use battery_kinds, only: wp, int64
-  use battery_calendar, only: flight_type
-  use battery_flight, only: partial_visit, never, store_flights
+  use battery_flight, only: flight_type, partial_visit, never, store_flights
   use battery_long_visits, only: long_visits_type, store_visit_starts
   use battery_passage_starts, only: passage_starts_type, store_passage_starts
   use battery_urn, only: urn_type, compute_passages, locate_in_passage

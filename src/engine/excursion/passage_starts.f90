@@ -9,9 +9,9 @@
 module battery_passage_starts
   use battery_kinds, only: wp, int64
   use battery_archive, only: archive_type
-  use battery_calendar, only: flight_type
   use battery_channel, only: no_channel
-  use battery_flight, only: trapped_in_urn, trace_back_into_channel, way_back_meets_corner
+  use battery_flight, only: flight_type, trapped_in_urn, trace_back_into_channel, &
+    way_back_meets_corner
   use battery_urn, only: urn_type, locate_in_passage, follow_passage, meets_corner
   use battery_visits, only: visits_type
   implicit none (type, external)

@@ -7,10 +7,9 @@
 !> begin; the visit of a particle that a gate does reverse is computed again.
 module battery_precomputed_visits
   use battery_kinds, only: wp, int32, int64
-  use battery_calendar, only: flight_type
   use battery_channel, only: channel1, channel2
   use battery_urn_shape, only: cross_channels
-  use battery_flight, only: load_flights, never, partial_visit, to_gate
+  use battery_flight, only: flight_type, load_flights, never, partial_visit, to_gate
   use battery_passage_starts, only: passage_starts_type, store_passage_starts, set_passage_start
   use battery_urn, only: urn_type, compute_passages
   use battery_visits, only: visits_type

@@ -12,9 +12,8 @@
 !> (`battery_scatterers`), and a particle is located by computing its visit again from its start.
 module battery_scatterer_visits
   use battery_kinds, only: wp, int8, int16, int32, int64
-  use battery_calendar, only: flight_type
   use battery_channel, only: fold_into_channel, channel1, channel2
-  use battery_flight, only: to_gate, to_periodic_line, trapped_in_urn, partial_visit
+  use battery_flight, only: flight_type, to_gate, to_periodic_line, trapped_in_urn, partial_visit
   use battery_motion, only: motion_type, meets_line, meets_urn, meets_nothing, in_urn, in_channel2
   use battery_half_channel_passages, only: compute_half_channel_passages
   use battery_archive, only: archive_type

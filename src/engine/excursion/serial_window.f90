@@ -5,8 +5,8 @@ module battery_serial_window
   use battery_table, only: channel1, channel2
   use battery_gate, only: gate_type, enter_gate, must_reverse, gate_crossed_first, uncount_first, &
     uncount_all, number_inside, counted_particle, next_crossing_time, first_crossing_time
-  use battery_calendar, only: calendar_type, flight_type
-  use battery_flight, only: middle_time, never, to_gate, counted_in_gate
+  use battery_calendar, only: calendar_type
+  use battery_flight, only: flight_type, middle_time, never, to_gate, counted_in_gate
   use battery_visits, only: visits_type
   use battery_event_record, only: event_record_type, record_crossing, record_event, &
     record_reversal, crossing_of, event_entry

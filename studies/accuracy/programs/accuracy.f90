@@ -1,15 +1,14 @@
 !> The program `accuracy`: probes of the engines, in the precision it was built with.
 !>
 !> `make accuracy` builds the program in three precisions (real32, real64, real128). Each command
-!> prints JSON, one object a line (`photon`: plain numbers); `accuracy` without arguments lists the
-!> commands. Numbers are read and written with all digits of the precision.
+!> prints JSON, one object a line; `accuracy` without arguments lists the commands. Numbers are read
+!> and written with all digits of the precision.
 program accuracy
   use battery_probe, only: argument
   use battery_probe_trajectory, only: trajectory_main, reversal_main
   use battery_probe_lyapunov, only: lyapunov_main
   use battery_probe_visits, only: visits_main
   use battery_probe_stability, only: stability_main
-  use battery_probe_photon, only: photon_main
   implicit none (type, external)
 
   select case (argument(1))
@@ -23,14 +22,11 @@ program accuracy
     call visits_main()
   case ('stability')
     call stability_main()
-  case ('photon')
-    call photon_main()
   case default
     print '(a)', 'usage: accuracy trajectory ENGINE STEP FILE NUMBER THRESHOLD TIME ...', &
       '       accuracy reversal ENGINE STEP FILE NUMBER TIME ...', &
       '       accuracy lyapunov WIDTH1 WIDTH2 NUMBER TIME [FILE]', &
       '       accuracy visits URN WIDTH1 WIDTH2 COUNT INPUT_BITS FILE', &
-      '       accuracy stability ENGINE COLLISIONS SECONDS', &
-      '       accuracy photon ENGINE'
+      '       accuracy stability ENGINE COLLISIONS SECONDS'
   end select
 end program accuracy

@@ -101,7 +101,7 @@ contains
     initial = particles
     began = 0.0_wp
     if (present(clock)) began = clock
-    call engine%start(table, threshold, initial, began)
+    call engine%start(table, [threshold, threshold], initial, began)
   end subroutine start_engine
 
   !> Advances an engine by `duration`; `event_record` is that of the last window.

@@ -138,7 +138,7 @@ contains
         particles, error)
       if (allocated(error)) error stop 'bench: '//error%message
       runner%engine%time_step = time_step
-      call runner%engine%start(table, one%threshold, particles, 0.0_wp)
+      call runner%engine%start(table, [one%threshold, one%threshold], particles, 0.0_wp)
     end associate
   end subroutine start_case
 

@@ -6,38 +6,18 @@
 !> of the epoch, a power of two, so that times stay exact and their resolution does not depend on
 !> the length of the run.
 !>
-!> The flights, one per particle, belong to the caller.
+!> The flights, one per particle, belong to the engine; the calendar uses `due` of them only. It is
+!> not among the queues of `events`, which know no flight: gfortran 12 copies the array `flight%due`
+!> to pass it.
 module battery_calendar
-  use battery_kinds, only: wp, int16, int32, int64
+  use battery_kinds, only: wp, int32, int64
   use battery_powers, only: power_above
+  use battery_flight, only: flight_type
   use battery_ordering, only: sort_by_time, insert_sorted
   implicit none (type, external)
   private
-  public :: calendar_type, idle_flight, new_calendar, epoch_for, flight_type, schedule_event, &
-    schedule_events, open_buckets_until, next_due_time, count_due_before, drop_done_events, &
-    rebase_calendar
-
-  !> State of a particle between two of its events. The calendar uses `due` only; the engine uses
-  !> the rest. A record fills one cache line: with many particles, the cost is that of reading one
-  !> line per particle.
-  type :: flight_type
-    real(wp) :: due
-    !> Kind of the particle's next event (`battery_flight`); the urn that it leaves, 1 or 2.
-    integer(int16) :: next_event, urn
-    !> Slot of the next visit, if it is precomputed (`battery_precomputed_visits`); else 0.
-    integer(int32) :: precomputed_slot
-    !> Time, height, |u_x| and u_y at the entry into the next channel, or into the channel that the
-    !> particle is in.
-    real(wp) :: time, y, u_axial, u_lateral
-    !> Time through the channel if no gate reverses, and length of the passage through the
-    !> urn before it.
-    real(wp) :: through, length
-  end type flight_type
-
-  !> A flight without an event. It is no default initialisation, since the memory pages of large
-  !> arrays are chosen before the first write.
-  type(flight_type), parameter :: idle_flight = flight_type(0.0_wp, 0_int16, 0_int16, 0_int32, &
-    0.0_wp, 0.0_wp, 0.0_wp, 0.0_wp, 0.0_wp, 0.0_wp)
+  public :: calendar_type, new_calendar, epoch_for, schedule_event, schedule_events, &
+    open_buckets_until, next_due_time, count_due_before, drop_done_events, rebase_calendar
 
   !> Events of a block, a power of two. A block is a cache line: with few buckets, all lines being
   !> written to stay in the cache for any number of particles.
