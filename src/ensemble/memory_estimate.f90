@@ -6,6 +6,7 @@ module battery_memory_estimate
   use battery_available_memory, only: free_memory_type, available_memory, bytes_per_entry, &
     bytes_per_state, bytes_per_event, bytes_per_task, merged_entry, merged_state, base_bytes, &
     most_numbers, size_text
+  use battery_keys, only: key_radius
   use battery_plan, only: plan_type, point_type, point_of, table_of, is_scanned
   use battery_table, only: table_type, channel1, channel2
   use battery_tasks, only: task_count
@@ -168,7 +169,7 @@ contains
 
     length = plan%duration
     if (.not. length > 0.0_wp) length = real(plan%collisions, wp)*0.5_wp*pi &
-      *maxval(plan%base%urn_radius)/number
+      *maxval(plan%base%of(key_radius)%real)/number
   end function length_of
 
   !> An error if there is not enough memory for MPI to start; to be called by every rank before

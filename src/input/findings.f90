@@ -39,11 +39,6 @@ module battery_findings
     integer :: points = 0, first_point = 0, last_point = 0
   end type finding_type
 
-  !> Adds a problem to those of a file: a finding, or one made from its components.
-  interface add_finding
-    module procedure :: add_one, add_refusal
-  end interface add_finding
-
   !> All problems of one file.
   type :: findings_type
     integer :: count = 0
@@ -63,7 +58,7 @@ module battery_findings
 contains
 
   !> Adds a problem of a line, or of the whole file if its line is 0.
-  pure subroutine add_one(findings, finding)
+  pure subroutine add_finding(findings, finding)
     !> Problems of the file so far.
     type(findings_type), intent(inout) :: findings
     type(finding_type), intent(in) :: finding
@@ -78,40 +73,28 @@ contains
     end if
     if (finding%line >= findings%last%line) findings%last = finding
     findings%count = findings%count + 1
-  end subroutine add_one
+  end subroutine add_finding
 
-  !> Adds a refusal.
-  pure subroutine add_refusal(findings, line, value, allowed, group, key)
-    !> Problems of the file so far.
-    type(findings_type), intent(inout) :: findings
-    !> Line of the file, from 1; 0: it concerns the whole file.
+  !> A finding from its components.
+  pure type(finding_type) function finding_of(line, value, allowed, group, key, kind, severity) &
+      result(finding)
+    !> Line, from 1; 0: it concerns the whole file, or its line is not known yet.
     integer, intent(in) :: line
     !> What was found.
     character(len=*), intent(in) :: value
-    !> What is allowed instead; the group, and the key that has the value.
+    !> What is allowed instead; group and key.
     character(len=*), intent(in), optional :: allowed, group, key
-    type(finding_type) :: finding
+    !> Kind, if not `of_value` with a key and `of_sentence` without; severity, if not `problem`.
+    integer, intent(in), optional :: kind, severity
 
-    finding%severity = refusal
     finding%line = line
     finding%value = value
     if (present(allowed)) finding%allowed = allowed
     if (present(group)) finding%group = group
     if (present(key)) finding%key = key
     finding%kind = merge(of_value, of_sentence, present(key))
-    call add_one(findings, finding)
-  end subroutine add_refusal
-
-  !> A finding on a key of a plan, whose line is not known yet.
-  pure type(finding_type) function finding_of(key, value, allowed, kind) result(finding)
-    !> Name of the key, what was found, and what is allowed instead.
-    character(len=*), intent(in) :: key, value, allowed
-    integer, intent(in) :: kind
-
-    finding%key = key
-    finding%value = value
-    finding%allowed = allowed
-    finding%kind = kind
+    if (present(kind)) finding%kind = kind
+    if (present(severity)) finding%severity = severity
   end function finding_of
 
   !> All problems of the file `name`, one per line, in the order of its lines, those without a line

@@ -2,7 +2,7 @@
 !> spaces and minus signs of word processors, files in UTF-16, line ends of old systems. They are
 !> named with their place, since they cannot be seen.
 module battery_foreign_bytes
-  use battery_findings, only: findings_type, add_finding, findings_text
+  use battery_findings, only: findings_type, finding_of, add_finding, findings_text
   use battery_text, only: to_text, new_line_character
   implicit none (type, external)
   private
@@ -56,8 +56,8 @@ contains
       else if (quote /= '') then
         if (sign == quote) quote = ''
       else if (is_foreign(text, at) .and. (sign == return_sign .or. .not. comment)) then
-        call add_finding(problems, line, foreign_byte_text(text(line_start:)), &
-          'ASCII outside of comments and texts in quotes')
+        call add_finding(problems, finding_of(line, foreign_byte_text(text(line_start:)), &
+          'ASCII outside of comments and texts in quotes'))
         exit
       else if (.not. comment) then
         comment = sign == '!'

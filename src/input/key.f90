@@ -39,6 +39,11 @@ module battery_key
     character(len=80) :: choices = ''
     !> Unit, and symbol in the paper; empty if there is none.
     character(len=8) :: unit = '', symbol = ''
+    !> Place among the keys that a scan can vary, the slowest first, 0: it cannot; whose the second
+    !> value is if a scan can vary that alone, such as `urn 2`; whether a list has second values.
+    integer :: place = 0
+    character(len=8) :: second = ''
+    logical :: is_second = .false.
     !> Whether the key changes the results; if not, a run may be resumed with another value.
     logical :: changes_results = .true.
   end type key_type

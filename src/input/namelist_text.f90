@@ -5,7 +5,7 @@
 module battery_namelist_text
   use battery_text, only: to_text, lower_case
   use battery_foreign_bytes, only: text_start
-  use battery_findings, only: findings_type, add_finding, displayable_text
+  use battery_findings, only: findings_type, finding_of, add_finding, displayable_text
   implicit none (type, external)
   private
   public :: value_type, entry_type, group_type, split_namelist, written_text
@@ -82,8 +82,8 @@ contains
       if (next_sign(reader) == '&') then
         call read_group(reader)
       else
-        call add_finding(reader%problems, reader%line, 'text outside of any group: ' &
-          //rest_of_line(reader)//'; a group begins with &name and ends with /')
+        call add_finding(reader%problems, finding_of(reader%line, 'text outside of any group: ' &
+          //rest_of_line(reader)//'; a group begins with &name and ends with /'))
         call skip_line(reader)
       end if
     end do
@@ -142,8 +142,8 @@ contains
         call read_entry(reader, group%name)
       end select
     end do
-    call add_finding(reader%problems, group%line, &
-      'the / that ends the group is missing', group=group%name)
+    call add_finding(reader%problems, finding_of(group%line, &
+      'the / that ends the group is missing', group=group%name))
   end subroutine read_group
 
   !> Parses an entry `key = values`.
@@ -160,8 +160,8 @@ contains
     entry%key = lower_case(entry%key)
     name = '&'//displayable_text(group)//' '//displayable_text(entry%key)
     if (entry%key == '') then
-      call add_finding(reader%problems, reader%line, 'a key was expected at: ' &
-        //rest_of_line(reader), group=group)
+      call add_finding(reader%problems, finding_of(reader%line, 'a key was expected at: ' &
+        //rest_of_line(reader), group=group))
       call skip_line(reader)
       return
     end if
@@ -169,15 +169,15 @@ contains
     last_index = any_index
     if (scan(next_sign(reader), '(%') == 1) call read_index(reader, last_index)
     if (next_sign(reader) /= '=') then
-      call add_finding(reader%problems, entry%line, name//': = is missing')
+      call add_finding(reader%problems, finding_of(entry%line, name//': = is missing'))
       return
     end if
     reader%at = reader%at + 1
     call read_values(reader, name, entry%values)
     entry%refused = last_index /= any_index .and. last_index /= size(entry%values)
-    if (entry%refused) call add_finding(reader%problems, entry%line, name &
+    if (entry%refused) call add_finding(reader%problems, finding_of(entry%line, name &
       //': parts of a key cannot be set', 'the whole list, '//displayable_text(entry%key) &
-      //' = 1, 2, ... or '//displayable_text(entry%key)//'(1:2) = 1, 2')
+      //' = 1, 2, ... or '//displayable_text(entry%key)//'(1:2) = 1, 2'))
     call add_entry(reader, entry)
   end subroutine read_entry
 
@@ -273,7 +273,7 @@ contains
     subroutine add_mistake(text)
       character(len=*), intent(in) :: text
 
-      call add_finding(reader%problems, reader%line, name//': '//text)
+      call add_finding(reader%problems, finding_of(reader%line, name//': '//text))
     end subroutine add_mistake
 
   end subroutine read_values

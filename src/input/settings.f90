@@ -6,7 +6,7 @@ module battery_settings
   use battery_kinds, only: wp, int32, int64
   use battery_text, only: string_type, to_text, lower_case, join, closest_word
   use battery_numbers, only: read_whole, read_decimal
-  use battery_findings, only: findings_type, add_finding
+  use battery_findings, only: findings_type, finding_of, add_finding
   use battery_namelist_text, only: value_type, entry_type, group_type, split_namelist, &
     written_text
   use battery_key, only: key_type, distinct_names, find_key, allowed_text, is_beyond, whole_key, &
@@ -109,12 +109,12 @@ contains
         if (names(name)%text == groups(at)%name) exit
       end do
       if (name > size(names)) then
-        call add_finding(problems, groups(at)%line, 'there is no such group' &
+        call add_finding(problems, finding_of(groups(at)%line, 'there is no such group' &
           //suggestion('&', closest_word(groups(at)%name, names)), '&'//join(names, ', &'), &
-          groups(at)%name)
+          groups(at)%name))
       else if (first_line(name) > 0) then
-        call add_finding(problems, groups(at)%line, 'is given again', 'once (line ' &
-          //to_text(first_line(name))//')', groups(at)%name)
+        call add_finding(problems, finding_of(groups(at)%line, 'is given again', 'once (line ' &
+          //to_text(first_line(name))//')', groups(at)%name))
       else
         first_line(name) = groups(at)%line
       end if
@@ -191,8 +191,8 @@ contains
     character(len=*), intent(in) :: wrong, allowed
     type(findings_type), intent(inout) :: problems
 
-    call add_finding(problems, entry%line, written_text(entry%values)//': '//wrong, allowed, &
-      entry%group, entry%key)
+    call add_finding(problems, finding_of(entry%line, written_text(entry%values)//': '//wrong, &
+      allowed, entry%group, entry%key))
   end subroutine refuse_entry
 
   !> Sets a key to its default, which is parsed like an input.

@@ -5,7 +5,8 @@ module battery_initial_state
   use battery_file_text, only: read_file
   use battery_foreign_bytes, only: text_start, foreign_byte_text
   use battery_numbers, only: read_decimal
-  use battery_findings, only: findings_type, add_finding, findings_text, displayable_text
+  use battery_findings, only: findings_type, finding_of, add_finding, findings_text, &
+    displayable_text
   use battery_text, only: to_text, new_line_character
   use battery_table, only: table_type, chamber_at, outside, half_length, &
     try_random_point
@@ -153,7 +154,7 @@ contains
       if (problem /= '') then
         foreign = foreign_byte_text(text(line_start:min(last, len(text, int64))))
         if (foreign /= '') problem = foreign
-        call add_finding(findings, line, problem)
+        call add_finding(findings, finding_of(line, problem))
         ! All lines may have such a byte.
         if (foreign /= '') exit
       else if (count <= number) then
@@ -164,8 +165,8 @@ contains
         particles%uy(count) = state(4)/speed
       end if
     end do
-    if (foreign == '' .and. count /= number) call add_finding(findings, 0, 'has ' &
-      //to_text(count)//' particles', to_text(number)//', as &particles number says')
+    if (foreign == '' .and. count /= number) call add_finding(findings, finding_of(0, 'has ' &
+      //to_text(count)//' particles', to_text(number)//', as &particles number says'))
     if (findings%count > 0) call fatal_error(error, findings_text(findings, name), exit_bad_input)
   end subroutine parse_particles
 

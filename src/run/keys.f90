@@ -11,6 +11,11 @@ module battery_keys
   private
   public :: all_keys
 
+  !> Places of the keys that a scan can vary, those of a channel by its index.
+  integer, parameter, public :: key_threshold = 1, key_threshold_fraction = 2, key_number = 3, &
+    key_width(2) = [4, 5], key_length(2) = [6, 7], key_radius = 8, key_urn1_fraction = 9
+  integer, parameter, public :: scannable = key_urn1_fraction
+
   !> Greatest number of particles: the engines store up to ten numbers per particle in one array,
   !> whose indices have 32 bits.
   integer(int64), parameter :: most_particles = 200000000_int64
@@ -21,29 +26,25 @@ module battery_keys
 
 contains
 
-  !> All keys. For each key of another group that can be scanned, &scan has two: a list and a range;
-  !> the slowest come first.
+  !> All keys. For each key that a scan can vary, &scan has a list and a range, and the same for its
+  !> second value alone if that belongs to something else; the slowest come first.
   pure function all_keys() result(keys)
-    type(key_type), allocatable :: keys(:)
+    type(key_type), allocatable :: keys(:), scans(:)
+    integer :: k, at
 
-    keys = keys_before_scan()
-    keys = [keys, &
-      scan_keys_of(keys, 'gate', 'threshold'), &
-      scan_keys_of(keys, 'gate', 'threshold', 'gate 2'), &
-      scan_keys_of(keys, 'gate', 'threshold_fraction'), &
-      scan_keys_of(keys, 'particles', 'number'), &
-      scan_keys_of(keys, 'table', 'channel1_width'), &
-      scan_keys_of(keys, 'table', 'channel2_width'), &
-      scan_keys_of(keys, 'table', 'channel1_length'), &
-      scan_keys_of(keys, 'table', 'channel2_length'), &
-      scan_keys_of(keys, 'table', 'urn_radius'), &
-      scan_keys_of(keys, 'table', 'urn_radius', 'urn 2'), &
-      scan_keys_of(keys, 'particles', 'urn1_fraction'), &
-      keys_behind_scan()]
+    keys = declared_keys()
+    allocate (scans(0))
+    do k = 1, scannable
+      at = findloc(keys%place, k, dim=1)
+      scans = [scans, scan_keys_of(keys(at), .false.)]
+      if (keys(at)%second /= '') scans = [scans, scan_keys_of(keys(at), .true.)]
+    end do
+    at = find_key(keys, 'scan', 'replicas')
+    keys = [keys(:at - 1), scans, keys(at:)]
   end function all_keys
 
-  !> The keys of &table, &particles, &gate and &run.
-  pure function keys_before_scan() result(keys)
+  !> The keys that are written in their own groups.
+  pure function declared_keys() result(keys)
     type(key_type), allocatable :: keys(:)
 
     keys = [ &
@@ -51,17 +52,18 @@ contains
       choices='circuit urn'), &
       key_type('table', 'urn_radius', real_key, '1', &
       'radius of both urns, or of urn 1 and of urn 2', least=0.0_wp, above=.true., most_values=2, &
-      unit='length', symbol='r'), &
+      unit='length', symbol='r', place=key_radius, second='urn 2'), &
       key_type('table', 'channel1_width', real_key, '0.3', 'width of channel 1, below 2 r', &
-      least=0.0_wp, above=.true., unit='length', symbol='w'), &
+      least=0.0_wp, above=.true., unit='length', symbol='w', place=key_width(1)), &
       key_type('table', 'channel1_length', real_key, '1', &
       'length of channel 1, both gates together', least=0.0_wp, above=.true., unit='length', &
-      symbol='l'), &
+      symbol='l', place=key_length(1)), &
       key_type('table', 'channel2_width', real_key, '0.01', &
-      'width of channel 2, below 2 r; 0 closes it', least=0.0_wp, unit='length', symbol='w'''), &
+      'width of channel 2, below 2 r; 0 closes it', least=0.0_wp, unit='length', symbol='w''', &
+      place=key_width(2)), &
       key_type('table', 'channel2_length', real_key, '1', &
       'length of channel 2, both halves together', least=0.0_wp, above=.true., unit='length', &
-      symbol='l'''), &
+      symbol='l''', place=key_length(2)), &
       key_type('table', 'urn_shape', text_key, '''disc''', 'shape of the urns', &
       choices='disc polygon'), &
       key_type('table', 'urn_sides', whole_key, '', &
@@ -77,21 +79,21 @@ contains
       'fixed discs in channel 2: z, y, radius of each; z = 0 is the periodic line', &
       most_values=30000, unit='length'), &
       key_type('particles', 'number', whole_key, '', 'number of particles', least=1.0_wp, &
-      greatest=most_particles, symbol='N'), &
+      greatest=most_particles, symbol='N', place=key_number), &
       key_type('particles', 'urn1_number', whole_key, '', &
       'how many start in urn 1; if not given: half of number', least=0.0_wp, symbol='N1'), &
       key_type('particles', 'urn1_fraction', real_key, '', &
       'fraction of the particles that starts in urn 1', least=0.0_wp, greatest=1_int64, &
-      symbol='N1/N'), &
+      symbol='N1/N', place=key_urn1_fraction), &
       key_type('particles', 'seed', whole_key, '1', 'base seed of the random numbers', &
       least=0.0_wp, greatest=long), &
       key_type('particles', 'initial_file', text_key, '''''', &
       'file with x y ux uy of each particle; x = 0 is the middle of channel 1'), &
       key_type('gate', 'threshold', whole_key, '', &
       'a gate that counts more than T reverses; one T for both gates, or two', least=0.0_wp, &
-      most_values=2, symbol='T'), &
+      most_values=2, symbol='T', place=key_threshold, second='gate 2'), &
       key_type('gate', 'threshold_fraction', real_key, '', 'T as a fraction of number', &
-      least=0.0_wp, most_values=2, symbol='T/N'), &
+      least=0.0_wp, most_values=2, symbol='T/N', place=key_threshold_fraction), &
       key_type('run', 'engine', text_key, '''excursion''', 'method of the simulation', &
       choices=engine_choices()), &
       key_type('run', 'collisions', whole_key, '100000000', &
@@ -106,14 +108,7 @@ contains
       key_type('run', 'start_time', real_key, '0', 'time at the start of the run', &
       least=0.0_wp, unit='time'), &
       key_type('run', 'time_step', real_key, '', 'step of the engine timestep', least=0.0_wp, &
-      above=.true., unit='time')]
-  end function keys_before_scan
-
-  !> The other keys: `replicas` of &scan, and &precision, &output and &limits.
-  pure function keys_behind_scan() result(keys)
-    type(key_type), allocatable :: keys(:)
-
-    keys = [ &
+      above=.true., unit='time'), &
       key_type('scan', 'replicas', whole_key, '1', 'runs of each point, with different seeds', &
       least=1.0_wp), &
       key_type('precision', 'chi_replica_error', real_key, '', &
@@ -142,28 +137,28 @@ contains
       key_type('limits', 'checkpoint_minutes', real_key, '10', &
       'interval at which long tasks save their state', least=0.0_wp, unit='min', &
       changes_results=.false.)]
-  end function keys_behind_scan
+  end function declared_keys
 
-  !> The list and the range of a key that can be scanned, with the bounds and the unit of the key;
-  !> or those of its second number alone, which belongs to `whose` (such as `urn 2`).
-  pure function scan_keys_of(keys, group, name, whose) result(scan_keys)
-    type(key_type), intent(in) :: keys(:)
-    character(len=*), intent(in) :: group, name
-    character(len=*), intent(in), optional :: whose
-    type(key_type) :: scan_keys(2)
+  !> The list and the range of a key that a scan can vary, with its bounds and unit; or those of its
+  !> second value alone.
+  pure function scan_keys_of(key, is_second) result(keys)
+    type(key_type), intent(in) :: key
+    logical, intent(in) :: is_second
+    type(key_type) :: keys(2)
 
-    scan_keys = keys(find_key(keys, group, name))
-    scan_keys%group = 'scan'
-    scan_keys%default = ''
-    if (present(whose)) scan_keys%name = name//'2'
-    scan_keys(2)%name = trim(scan_keys(1)%name)//'_range'
-    scan_keys%most_values = [most_values, 3]
-    scan_keys(2)%is_range = .true.
-    scan_keys(2)%kind = real_key
-    scan_keys%meaning = [character(len=80) :: 'values of &'//group//' '//name, &
+    keys = key
+    keys%group = 'scan'
+    keys%default = ''
+    keys%is_second = is_second
+    if (is_second) keys%name = trim(key%name)//'2'
+    keys(2)%name = trim(keys(1)%name)//'_range'
+    keys%most_values = [most_values, 3]
+    keys(2)%is_range = .true.
+    keys(2)%kind = real_key
+    keys%meaning = [character(len=80) :: 'values of &'//trim(key%group)//' '//key%name, &
       'the same, evenly spaced']
-    if (present(whose)) scan_keys(1)%meaning = 'values for '//whose//', in pairs with '//name &
-      //' if that is a list'
+    if (is_second) keys(1)%meaning = 'values for '//trim(key%second)//', in pairs with ' &
+      //trim(key%name)//' if that is a list'
   end function scan_keys_of
 
 end module battery_keys

@@ -4,14 +4,13 @@ module battery_namelist_input
   use battery_kinds, only: wp
   use battery_error, only: error_type, fatal_error, exit_bad_input
   use battery_text, only: to_text, new_line_character
-  use battery_table, only: channel1, channel2
   use battery_foreign_bytes, only: namelist_problem, is_results_file
-  use battery_findings, only: finding_type, add_finding, findings_text, displayable_text, &
-    of_missing
+  use battery_findings, only: finding_type, finding_of, add_finding, findings_text, &
+    displayable_text, of_missing
   use battery_settings, only: settings_type, read_settings, find_setting, get_value, &
     get_list, get_text
   use battery_key, only: key_type, whole_key, is_beyond, longest_range
-  use battery_keys, only: all_keys
+  use battery_keys, only: all_keys, key_length
   use battery_identity, only: twelve_digits
   use battery_plan, only: plan_type, scanned_type, points_text, complete_plan, refuse_value, &
     refuse_key
@@ -65,33 +64,21 @@ contains
     plan%input_file = name
     allocate (plan%scanned(0), plan%problems(0))
     call fill_values(settings, plan)
-    call fill_scan(settings, plan)
+    call fill_points(settings, plan)
     call check_combinations(settings, plan)
     call complete_plan(plan)
   end subroutine fill_plan
 
-  !> Sets the values that may differ between the points of a scan, and those that all tasks have in
-  !> common.
+  !> Sets the values that all tasks have in common.
   subroutine fill_values(settings, plan)
     type(settings_type), intent(in) :: settings
     type(plan_type), intent(inout) :: plan
     real(wp), allocatable :: times(:)
 
-    associate (base => plan%base)
-      call get_text(settings, 'table', 'shape', plan%shape)
-      call get_value(settings, 'table', 'urn_radius', base%urn_radius)
-      call fill_outlines(settings, plan)
-      call get_value(settings, 'table', 'channel1_width', base%channel(channel1)%width)
-      call get_value(settings, 'table', 'channel1_length', base%channel(channel1)%length)
-      call get_value(settings, 'table', 'channel2_width', base%channel(channel2)%width)
-      call get_value(settings, 'table', 'channel2_length', base%channel(channel2)%length)
-      call get_list(settings, 'table', 'scatterers', plan%scatterers)
-      call get_value(settings, 'particles', 'number', base%number)
-      call get_value(settings, 'particles', 'urn1_number', base%urn1_number)
-      call get_value(settings, 'particles', 'urn1_fraction', base%urn1_fraction)
-      call get_value(settings, 'gate', 'threshold', base%threshold)
-      call get_value(settings, 'gate', 'threshold_fraction', base%threshold_fraction)
-    end associate
+    call get_text(settings, 'table', 'shape', plan%shape)
+    call fill_outlines(settings, plan)
+    call get_list(settings, 'table', 'scatterers', plan%scatterers)
+    call get_value(settings, 'particles', 'urn1_number', plan%base%urn1_number)
     call get_value(settings, 'particles', 'seed', plan%seed)
     call get_text(settings, 'particles', 'initial_file', plan%initial_file)
     call get_text(settings, 'run', 'engine', plan%engine)
@@ -157,24 +144,42 @@ contains
     end associate
   end function is_refused
 
-  !> Sets the lists of the scan, each given as a list or as a range, in the order of the keys. A
-  !> list for gate 2 or urn 2 forms pairs with the list before it, which is for gate 1 or urn 1
-  !> then.
-  subroutine fill_scan(settings, plan)
+  !> Sets the keys that a scan can vary, in their order: their values, and the lists of the scan,
+  !> each given as a list or as a range. A list for gate 2 or urn 2 forms pairs with the list before
+  !> it, which is for gate 1 or urn 1 then.
+  subroutine fill_points(settings, plan)
     type(settings_type), intent(in) :: settings
     type(plan_type), intent(inout) :: plan
     type(scanned_type) :: one
-    integer :: at, last
+    integer :: at, last, k
 
-    do at = 1, size(settings%all) - 1
-      associate (list => settings%all(at), range => settings%all(at + 1))
-        if (list%key%group /= 'scan' .or. .not. range%key%is_range) cycle
+    ! A length that was refused is not 0, so that others can be checked.
+    do k = 1, 2
+      plan%base%of(key_length(k))%real = 1.0_wp
+    end do
+    do at = 1, size(settings%all)
+      associate (key => settings%all(at)%key)
+        if (key%place == 0 .or. key%is_range) cycle
+        if (key%group /= 'scan') then
+          associate (values => plan%base%of(key%place))
+            values%known = settings%all(at)%known
+            if (key%kind == whole_key) then
+              call get_value(settings, trim(key%group), trim(key%name), values%whole)
+            else
+              call get_value(settings, trim(key%group), trim(key%name), values%real)
+            end if
+          end associate
+          cycle
+        end if
         call get_scan_values(settings, at, plan, one%values)
         if (size(one%values) == 0) cycle
-        one%key = trim(list%key%name)
+        one%key = trim(key%name)
+        one%place = key%place
+        one%is_whole = key%kind == whole_key
+        one%first = merge(2, 1, key%is_second)
         last = size(plan%scanned)
-        if (last > 0) then
-          if (plan%scanned(last)%key//'2' == one%key) then
+        if (last > 0 .and. key%is_second) then
+          if (plan%scanned(last)%place == key%place) then
             if (size(one%values) == size(plan%scanned(last)%values)) then
               plan%scanned(last)%second = one%values
             else
@@ -188,7 +193,7 @@ contains
         plan%scanned = [plan%scanned, one]
       end associate
     end do
-  end subroutine fill_scan
+  end subroutine fill_points
 
   !> Values of setting number `at`, a list, or of its range, which is the next setting; none if
   !> neither is given or valid.
@@ -340,7 +345,7 @@ contains
       text = to_text(plan%of_points%points)//' of '//to_text(plan%checked_points) &
         //' points of the scan cannot be simulated'
       if (plan%of_points%more_values) text = text//'; the first of them:'
-      call add_finding(settings%problems, 0, text)
+      call add_finding(settings%problems, finding_of(0, text))
     end if
     do at = 1, size(plan%problems)
       call add_problem(settings, plan, plan%problems(at))

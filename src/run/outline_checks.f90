@@ -7,6 +7,7 @@ module battery_outline_checks
   use battery_corners, only: enclosed_area, reversed_corners, next_corner, distance_to_side, &
     sides_meet, side_distance, side_on_axis
   use battery_polygon, only: upright
+  use battery_keys, only: key_radius, key_width
   use battery_plan, only: plan_type, point_type, refuse_value, refuse_key, is_scanned, corners_of
   use battery_text, only: to_text
   implicit none (type, external)
@@ -55,7 +56,7 @@ contains
     if (size(plan%problems) > before) return
     if (.not. allocated(plan%outline(2)%corner)) plan%outline(2) = plan%outline(1)
     do urn = 1, 2
-      plan%base%urn_radius(urn) = 0.5_wp*extent_of(plan%outline(urn)%corner)
+      plan%base%of(key_radius)%real(urn) = 0.5_wp*extent_of(plan%outline(urn)%corner)
     end do
   end subroutine check_outlines
 
@@ -185,8 +186,8 @@ contains
       n = size(corner, 2)
       do channel = 1, merge(1, 2, plan%shape == 'urn')
         ! A channel whose width is scanned may be open at some points.
-        if (.not. is_open(plan%base%channel(channel)) .and. .not. is_scanned(plan, 'channel' &
-          //to_text(channel)//'_width')) cycle
+        if (.not. (plan%base%of(key_width(channel))%real(1) > 0.0_wp .or. is_scanned(plan, &
+          'channel'//to_text(channel)//'_width'))) cycle
         side = side_on_axis(corner, facing(channel))
         if (side == 0) then
           what = 'has a corner on the axis y = 0 or no side there'

@@ -18,6 +18,8 @@ module battery_plan
   use battery_identity, only: identity_of
   use battery_findings, only: finding_type, point_findings_type, finding_of, remark, of_value, &
     of_state
+  use battery_keys, only: scannable, key_threshold, key_threshold_fraction, key_number, key_width, &
+    key_length, key_radius, key_urn1_fraction
   use battery_text, only: to_text
   implicit none (type, external)
   private
@@ -31,13 +33,26 @@ module battery_plan
   !> Largest number of tasks: points times replicas.
   integer(int64), parameter :: most_tasks = 10000000_int64
 
+  !> The values of a key that a scan can vary: two, of urn 1 and urn 2 or of their gates, which are
+  !> equal if the key has one. The kind of the key determines the component that is used.
+  type :: values_type
+    !> Whether there is a value, given or by default.
+    logical :: known = .false.
+    integer(int64) :: whole(2) = 0
+    real(wp) :: real(2) = 0.0_wp
+  end type values_type
+
+  !> What the namelist says of the parameter points: the values of keys by their places in
+  !> `battery_keys`, and how many particles start in urn 1.
+  type :: base_type
+    type(values_type) :: of(scannable)
+    integer :: urn1_number = not_given
+  end type base_type
+
   !> One parameter point. Components are named like the keys of the namelist, those of a channel
   !> have its index; pairs are of urn 1 and urn 2, or of their gates.
   type :: point_type
-    integer :: number = not_given, urn1_number = not_given
-    real(wp) :: urn1_fraction = not_given
-    integer :: threshold(2) = not_given
-    real(wp) :: threshold_fraction(2) = not_given
+    integer :: number = 0, urn1_number = 0, threshold(2) = 0
     real(wp) :: urn_radius(2) = 0.0_wp
     type(channel_type) :: channel(2)
   end type point_type
@@ -51,6 +66,10 @@ module battery_plan
   !> A key that is scanned, and its values; whole numbers as reals.
   type :: scanned_type
     character(len=:), allocatable :: key
+    !> Its place, whether it has whole numbers, and the first value that it sets: 2 if it is for
+    !> gate 2 or urn 2 alone.
+    integer :: place = 0, first = 1
+    logical :: is_whole = .false.
     real(wp), allocatable :: values(:)
     !> Values for gate 2 or urn 2 if they form pairs; not allocated: the same values.
     real(wp), allocatable :: second(:)
@@ -68,7 +87,7 @@ module battery_plan
     !> z, y, radius of each disc in channel 2, the same at all points.
     real(wp), allocatable :: scatterers(:)
     !> The values of keys that are not scanned.
-    type(point_type) :: base
+    type(base_type) :: base
     !> Keys that are scanned, the slowest first.
     type(scanned_type), allocatable :: scanned(:)
     !> Largest number of replicas of a point, and number of those that are run in any case.
@@ -124,7 +143,7 @@ contains
     integer, intent(in), optional :: kind
     type(finding_type) :: finding
 
-    finding = finding_of(key, state, allowed, of_state)
+    finding = finding_of(0, state, allowed, key=key, kind=of_state)
     if (present(kind)) finding%kind = kind
     finding%scanned = is_scanned(plan, key)
     plan%problems = [plan%problems, finding]
@@ -167,30 +186,51 @@ contains
   pure type(point_type) function point_of(plan, number) result(point)
     type(plan_type), intent(in) :: plan
     integer, intent(in) :: number
-    integer :: list, left, values
+    type(values_type) :: of(scannable)
+    integer :: list, left, values, k
 
-    point = plan%base
+    of = plan%base%of
     left = number - 1
     do list = size(plan%scanned), 1, -1
-      associate (scanned => plan%scanned(list))
-        values = size(scanned%values)
-        call set_value(point, scanned%key, scanned%values(1 + mod(left, values)))
-        if (allocated(scanned%second)) call set_value(point, scanned%key//'2', &
-          scanned%second(1 + mod(left, values)))
-      end associate
+      values = size(plan%scanned(list)%values)
+      call set_values(of(plan%scanned(list)%place), plan%scanned(list), 1 + mod(left, values))
       left = left/values
     end do
-    if (any(point%threshold_fraction >= 0.0_wp)) &
-      point%threshold = rounded(point%threshold_fraction*point%number)
+    point%number = int(of(key_number)%whole(1))
+    point%threshold = int(of(key_threshold)%whole)
+    if (of(key_threshold_fraction)%known) &
+      point%threshold = rounded(of(key_threshold_fraction)%real*point%number)
+    point%urn_radius = of(key_radius)%real
+    do k = 1, 2
+      point%channel(k) = channel_type(of(key_width(k))%real(1), of(key_length(k))%real(1))
+    end do
+    point%urn1_number = plan%base%urn1_number
     if (plan%shape == 'urn') then
       point%channel(channel2)%width = 0.0_wp
       if (point%urn1_number == not_given) point%urn1_number = point%number
-    else if (point%urn1_fraction >= 0.0_wp) then
-      point%urn1_number = rounded(point%urn1_fraction*point%number)
+    else if (of(key_urn1_fraction)%known) then
+      point%urn1_number = rounded(of(key_urn1_fraction)%real(1)*point%number)
     else if (point%urn1_number == not_given) then
       point%urn1_number = point%number/2
     end if
   end function point_of
+
+  !> Sets the values of a key to those numbered `at` of its scan.
+  pure subroutine set_values(values, scanned, at)
+    type(values_type), intent(inout) :: values
+    type(scanned_type), intent(in) :: scanned
+    integer, intent(in) :: at
+    real(wp) :: both(2)
+
+    both = scanned%values(at)
+    if (allocated(scanned%second)) both(2) = scanned%second(at)
+    values%known = .true.
+    if (scanned%is_whole) then
+      values%whole(scanned%first:) = nint(both(scanned%first:), int64)
+    else
+      values%real(scanned%first:) = both(scanned%first:)
+    end if
+  end subroutine set_values
 
   !> Text for point `number`: its values of all keys that have several values in the scan.
   pure function point_text(plan, number, but) result(text)
@@ -247,40 +287,6 @@ contains
     end if
     text = text//')'
   end function points_text
-
-  !> Sets the value of a scanned key at a point.
-  pure subroutine set_value(point, key, value)
-    type(point_type), intent(inout) :: point
-    character(len=*), intent(in) :: key
-    real(wp), intent(in) :: value
-
-    select case (key)
-    case ('threshold')
-      point%threshold = nint(value)
-    case ('threshold2')
-      point%threshold(2) = nint(value)
-    case ('threshold_fraction')
-      point%threshold_fraction = value
-    case ('number')
-      point%number = nint(value)
-    case ('urn1_fraction')
-      point%urn1_fraction = value
-    case ('urn_radius')
-      point%urn_radius = value
-    case ('urn_radius2')
-      point%urn_radius(2) = value
-    case ('channel1_width')
-      point%channel(channel1)%width = value
-    case ('channel1_length')
-      point%channel(channel1)%length = value
-    case ('channel2_width')
-      point%channel(channel2)%width = value
-    case ('channel2_length')
-      point%channel(channel2)%length = value
-    case default
-      error stop 'a key is scanned that no point has'
-    end select
-  end subroutine set_value
 
   !> The nearest integer; the largest one if the number is beyond it.
   elemental integer function rounded(number)

@@ -47,18 +47,18 @@ contains
     type(plan_type), intent(inout) :: plan
     logical :: as_number, as_second, as_fraction
 
-    associate (base => plan%base)
-      if (base%number == not_given .and. .not. is_scanned(plan, 'number')) &
+    associate (base => plan%base%of)
+      if (.not. (base(key_number)%known .or. is_scanned(plan, 'number'))) &
         call refuse_key(plan, 'number', 'is missing', 'one whole number from 1 up', of_missing)
-      as_number = base%threshold(1) /= not_given .or. is_scanned(plan, 'threshold')
+      as_number = base(key_threshold)%known .or. is_scanned(plan, 'threshold')
       as_second = is_scanned(plan, 'threshold2')
-      as_fraction = base%threshold_fraction(1) >= 0.0_wp .or. is_scanned(plan, 'threshold_fraction')
+      as_fraction = base(key_threshold_fraction)%known .or. is_scanned(plan, 'threshold_fraction')
       if (.not. (as_number .or. as_fraction)) call refuse_key(plan, 'threshold', 'is missing', &
         'one whole number or two from 0 up, or threshold_fraction, or a list of either in &scan', &
         of_missing)
       if ((as_number .or. as_second) .and. as_fraction) call refuse_key(plan, &
         'threshold_fraction', 'is given beside threshold', 'one of the two')
-      if (base%urn1_number /= not_given .and. (base%urn1_fraction >= 0.0_wp &
+      if (plan%base%urn1_number /= not_given .and. (base(key_urn1_fraction)%known &
         .or. is_scanned(plan, 'urn1_fraction'))) call refuse_key(plan, 'urn1_number', &
         'is given beside urn1_fraction', 'one of the two')
     end associate
@@ -172,11 +172,11 @@ contains
     integer :: at, k, again
 
     numbers = values_of(plan, 'number')
-    if (size(numbers) == 0 .and. plan%base%number /= not_given) &
-      numbers = [real(plan%base%number, wp)]
+    if (size(numbers) == 0 .and. plan%base%of(key_number)%known) &
+      numbers = [real(plan%base%of(key_number)%whole(1), wp)]
     ! A closed channel has no length.
     widths = values_of(plan, 'channel2_width')
-    if (size(widths) == 0) widths = [plan%base%channel(channel2)%width]
+    if (size(widths) == 0) widths = plan%base%of(key_width(channel2))%real(:1)
     do at = 1, size(plan%scanned)
       values = plan%scanned(at)%values
       again = first_repeat(values, plan%scanned(at)%second)
@@ -278,7 +278,7 @@ contains
     if (outlines_valid .and. size(plan%problems) == before) call check_outline_at(plan, point)
     if (size(plan%problems) == before) call check_times(plan, radii(1), max(radii(2), &
       longest))
-    if (point%number == not_given .or. size(plan%problems) > before) return
+    if (point%number == 0 .or. size(plan%problems) > before) return
     if (.not. (outlines_valid .and. has_valid_outlines(plan))) return
     if (.not. plan%duration > 0.0_wp .and. plan%transient_collisions > 0 .and. &
       plan%transient_collisions < plan%collisions .and. plan%collisions <= point%number) &

@@ -2,8 +2,9 @@
 !> results.
 module battery_plan_remarks
   use battery_current_age, only: current_remark
+  use battery_keys, only: key_radius
   use battery_kinds, only: wp
-  use battery_findings, only: finding_type, finding_of, remark, of_sentence
+  use battery_findings, only: finding_type, finding_of, remark
   use battery_plan, only: plan_type, point_type, point_of, points_text
   use battery_table, only: channel2
   use battery_text, only: string_type, to_text, join
@@ -47,8 +48,8 @@ contains
     if (points(shut) > 0) call add(shut, 'disc '//to_text(shutting_disc(plan, point_of(plan, &
       first(shut))))//' of scatterers reaches from wall to wall: no particle passes channel 2')
     ! A decimal comma separates two numbers.
-    radii = [string_type(to_text(plan%base%urn_radius(1))), &
-      string_type(to_text(plan%base%urn_radius(2)))]
+    radii = [string_type(to_text(plan%base%of(key_radius)%real(1))), &
+      string_type(to_text(plan%base%of(key_radius)%real(2)))]
     if (plan%shape /= 'urn' .and. radii(1)%text /= radii(2)%text) remarks = [remarks, &
       string_type('urn_radius = '//join(radii, ', ')//' are two radii: '//radii(1)%text &
       //' of urn 1, '//radii(2)%text//' of urn 2')]
@@ -74,8 +75,7 @@ contains
       type(finding_type) :: finding
 
       if (points(what) == 0) return
-      finding = finding_of('', sentence, '', of_sentence)
-      finding%severity = remark
+      finding = finding_of(0, sentence, key='', severity=remark)
       finding%points = points(what)
       finding%first_point = first(what)
       remarks = [remarks, string_type(sentence//points_text(plan, finding))]

@@ -77,7 +77,8 @@ contains
 
       all = state
       if (present(disc)) all = 'is wrong: '//place(disc)//state
-      problems = [problems, finding_of('scatterers', all, allowed, of_state)]
+      problems = [problems, finding_of(0, all, allowed, key='scatterers', &
+        kind=of_state)]
     end subroutine add
 
     !> Text for a disc: its index and its numbers.
