@@ -16,9 +16,8 @@ module battery_findings
   !> Largest number of letters of a word of the file that a problem quotes.
   integer, parameter :: most_letters = 80
 
-  !> Severities: a refusal when the text is read, which leaves a key without a value; a problem of
-  !> the plan; a remark on what is allowed.
-  integer, parameter, public :: refusal = 1, problem = 2, remark = 3
+  !> Severities: a problem of the text or of the plan; a remark on what is allowed.
+  integer, parameter, public :: problem = 1, remark = 2
 
   !> Kinds, by what `value` is: the value of the key; a state of the key; the state that the key is
   !> missing; a sentence.

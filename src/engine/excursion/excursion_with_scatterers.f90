@@ -1,6 +1,6 @@
 !> Windows of the engine `excursion` on tables with discs in channel 2 (`battery_scatterer_visits`).
 submodule (battery_excursion) battery_excursion_with_scatterers
-  use battery_table, only: in_urn, in_gate
+  use battery_table, only: in_urn, in_gate, passage_type, passage_at
   use battery_motion, only: motion_type
   use battery_scatterer_visits, only: visit_start_at, reserve_scatterer_visits, &
     add_scatterer_visit, compute_scatterer_visits, store_scatterer_flights
@@ -11,6 +11,7 @@ contains
 
   !> Loads the particles; those in channel 1 get a flight, all others a visit.
   module procedure load_particles_with_scatterers
+    type(passage_type) :: passage
     integer :: first, last, i, urn_index
 
     do first = 1, self%number, start_chunk
@@ -22,7 +23,8 @@ contains
           uy => particles%uy(i))
           urn_index = urn_at(self%table, x)
           associate (urn => self%table%urn(urn_index))
-            select case (chamber_at(self%table, x, y, huge(1.0_wp)))
+            passage = passage_at(self%table, x, y, ux, uy)
+            select case (passage%chamber)
             case (in_gate)
               call make_initial_flight(self%table, i, x, y, ux, uy, .true., self%flight(i), &
                 self%visits(1), self%computed_hits)
