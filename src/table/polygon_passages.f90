@@ -191,9 +191,9 @@ contains
   end subroutine find_only_side
 
   !> As `find_only_side`, in any polygon: finds the nearest of the sides that a path leaves through.
-  !> If the path enters through another one before, or where it leaves, rounding in a corner may have
-  !> put the particle outside: no side is found, or it would cross what lies between two parts of the
-  !> urn.
+  !> If the path enters through another one before, or where it leaves, rounding in a corner may
+  !> have put the particle outside: no side is found, or it would cross what lies between two parts
+  !> of the urn.
   !> Where it runs along that side, the time of the hit is a quotient of rounding errors, and the
   !> particle could pass the corner at the end of the side: no side is found either, and
   !> `continue_alone` bounds the time by the corners.
