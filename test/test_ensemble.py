@@ -305,7 +305,9 @@ def test_a_second_signal_leaves_at_once(tmp_path: Path, undisturbed: Path) -> No
     time.sleep(0.1)
     assert process.poll() is None
     send([first], signal.SIGTERM)
-    assert finish(process).returncode == 128 + signal.SIGTERM
+    # MPICH's mpiexec may have the code of the other rank, which it kills.
+    codes = {128 + signal.SIGTERM} | ({int(signal.SIGKILL)} if "mpich" in MPIRUN else set())
+    assert finish(process).returncode in codes
     complete(tmp_path, undisturbed, 2)
 
 

@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-import subprocess
-from decimal import Decimal
-
 import pytest
 
 from studies.accuracy import polygons, stability
 from studies.common.probing import make_probes, run_probe
-from studies.common.study import ROOT, Study
+from studies.common.study import Study
 from studies.common.visits import compared_visits
 
 # Builds the physics in three precisions.
@@ -48,18 +45,6 @@ def test_visits_to_polygons_agree_with_quadruple_precision(study: Study, urn: st
     assert found["corner"] < 5
     assert found["greatest_condition"] > 1e4
     assert 1e-17 < found["worst"] < 1e-15
-
-
-@pytest.mark.parametrize("engine", EXACT)
-def test_the_photon_of_the_hundred_digits(engine: str) -> None:
-    # Of 16 digits and of 34 the 14 hits leave 5 at least and 23.
-    answer = Decimal("0.99526291944335416089031180942672")
-    for precision, close in (("real64", Decimal("1e-5")), ("real128", Decimal("1e-23"))):
-        command = [ROOT / f"build/bin/accuracy-{precision}", "photon", engine]
-        done = subprocess.run(command, check=True, capture_output=True, text=True)
-        _, hits, distance, _ = done.stdout.split()
-        assert hits == "14"
-        assert abs(Decimal(distance) - answer) < close
 
 
 @pytest.mark.parametrize("engine", stability.ENGINES)

@@ -23,7 +23,7 @@ program reversal_times
   call random_particles(table, 1000, 500, 1_int64, particles, error)
   if (.not. allocated(error)) call new_engine('excursion', engine, error)
   if (allocated(error)) error stop error%message
-  call engine%start(table, 7, particles, 0.0_wp)
+  call engine%start(table, [7, 7], particles, 0.0_wp)
   event_record%logging = .true.
   allocate (waits(0))
   do while (engine%clock() < duration)
