@@ -157,6 +157,14 @@ contains
     end if
   end subroutine open_rank_file
 
+  !> Closes a reader of `open_rank_file`, unless the file is held open.
+  subroutine close_rank_file(sources, reader)
+    type(sources_type), intent(in) :: sources
+    type(record_reader_type), intent(inout) :: reader
+
+    if (.not. allocated(sources%reader)) call close_records(reader)
+  end subroutine close_rank_file
+
   !> Writes the attributes of the root: program, input and run. Does nothing after an error.
   subroutine write_description(file, plan, ranks, start_date, results, error)
     class(hdf5_file_type), intent(in) :: file
@@ -251,7 +259,7 @@ contains
         if (.not. is_one) exit
         call add_result(found, place, [(size(found%of(group)%values, 1), group=1, size(found%of))])
       end do
-      if (.not. allocated(sources%reader)) call close_records(reader)
+      call close_rank_file(sources, reader)
     end do
     if (any(results%task_status /= task_complete) .and. sources%old%id /= no_handle) &
       call add_old_results()
@@ -359,7 +367,7 @@ contains
             task%number, found%task_output_type, error)
         else
           if (place%rank_file /= open_file) then
-            if (.not. allocated(sources%reader)) call close_records(reader)
+            call close_rank_file(sources, reader)
             call open_rank_file(journal, sources, place%rank_file, reader)
             open_file = place%rank_file
           end if
@@ -375,7 +383,7 @@ contains
       if (ended_early(found%task_output_type, size(plan%snapshot_times))) &
         results%short_tasks = results%short_tasks + 1
     end do
-    if (.not. allocated(sources%reader)) call close_records(reader)
+    call close_rank_file(sources, reader)
   end subroutine copy_outputs
 
   !> Removes replicas beyond the number that their point needs: an earlier run may have needed more.

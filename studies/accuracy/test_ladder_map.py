@@ -16,7 +16,7 @@ from postproc.theory.models import MODELS
 from postproc.theory.states import State, Theory
 from studies.accuracy import ladder, ladder_errors, ladder_map
 from studies.accuracy.ladder_map import Told
-from studies.common.study import Study
+from studies.common.study import ROOT, Study
 
 HERE = Path(__file__).parent
 SIZE = len(ladder_map.points())
@@ -151,3 +151,9 @@ def test_runs_wait_as_long_as_it_takes(tmp_path: Path, monkeypatch: pytest.Monke
     assert np.isnan(single.chi_error).all()
     known = ladder_map.with_errors(single, ladder_map.scatter(found))
     assert known.chi_error == pytest.approx(found.chi_error * math.sqrt(3.0))
+
+
+def test_the_chart_of_the_page_is_that_of_this_study() -> None:
+    """The page of the product has a copy, which must be copied again when the chart is."""
+    chart = Path(__file__).with_name("ladder_map.png")
+    assert (ROOT / "docs/accuracy.png").read_bytes() == chart.read_bytes()
