@@ -147,6 +147,7 @@ def test_of_a_part_only_its_series_are_read(folder: Path, monkeypatch: pytest.Mo
     """In any order, also where all series together do not fit into memory."""
     data = postproc.open_results(folder / "map.h5")
     whole = data.series
+    assert np.ravel(whole["task"]).tolist() == list(range(whole["task"].size))
     with h5py.File(folder / "map.h5") as file:
         size = sum(one.nbytes for one in file["series"].values())
     monkeypatch.setattr(results_file, "memory_left", lambda: 0.8 * size)
