@@ -210,7 +210,8 @@ contains
     !> Offset in bytes of the first array; 0: the file is made anew, and a file or a link that had
     !> the name is removed.
     integer(c_int64_t), intent(in) :: at
-    !> Arrays of numbers; may be empty.
+    !> Arrays of numbers; may be empty, but not the constant `[integer ::]`: gfortran 11 gives it no
+    !> address, and refuses it.
     type(*), intent(in), contiguous :: first(..), second(..), third(..)
     !> Not all bytes could be written.
     type(error_type), allocatable, intent(out) :: error

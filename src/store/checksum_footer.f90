@@ -189,7 +189,7 @@ contains
     bytes = transfer(text, [0_int8])
     call footer_of(bytes, footer, error)
     if (.not. allocated(error)) call write_parts(copy, 0_int64, bytes, transfer(footer, bytes), &
-      [integer(int8) ::], error)
+      bytes(:0), error)
   end subroutine copy_with_footer
 
   !> Reads the bytes before the footer.

@@ -175,7 +175,7 @@ contains
       call get_image(file, image, status)
       if (status == 0) call footer_of(image, footer, error)
       if (status == 0 .and. .not. allocated(error)) call write_parts(file%name, 0_int64, image, &
-        transfer(footer, image), [integer(int8) ::], error)
+        transfer(footer, image), image(:0), error)
     end if
     call release_handle(file%id, status)
     file%id = no_handle
