@@ -128,15 +128,14 @@ def test_public_names_are_explained(tmp_path: Path) -> None:
     for path in (ROOT / "src").rglob("*.[fF]90"):
         fortran.module(path)
     bare = "!> M.\nmodule m\n  public :: f\ncontains\n  subroutine f(x)\n{}  end subroutine f\n"
-    (tmp_path / "m.f90").write_text(bare.format("    real, intent(in) :: x\n    real :: y\n\n"))
+    path = tmp_path / "src/m.f90"
+    path.parent.mkdir()
+    path.write_text(bare.format("    real, intent(in) :: x\n    real :: y\n\n"))
     with pytest.raises(fortran.UnexplainedError, match=r"f$"):
-        fortran.module(tmp_path / "m.f90")
-    explained = (
-        (tmp_path / "m.f90").read_text().replace("  subroutine", "  !> Does.\n  subroutine", 1)
-    )
-    (tmp_path / "m.f90").write_text(explained)
+        fortran.module(path)
+    path.write_text(path.read_text().replace("  subroutine", "  !> Does.\n  subroutine", 1))
     section = "### f\n\nDoes.\n\n```fortran\nsubroutine f(x)\n  real, intent(in) :: x\n```"
-    assert fortran.module(tmp_path / "m.f90") == f"## m\n\nM.\n\n{section}"
+    assert fortran.module(path) == f"## m\n\n`src/m.f90`\n\nM.\n\n{section}"
 
 
 @pytest.mark.full

@@ -43,7 +43,8 @@ def module(path: Path) -> str:
     for name in names:
         together.setdefault(_told(path, text, name), []).append(name)
     parts = [f"### {', '.join(those)}\n\n{told}" for told, those in together.items()]
-    return "\n\n".join([f"## {head[2]}", plain(head[1]), *parts])
+    place = f"`src/{path.as_posix().rpartition('/src/')[2]}`"
+    return "\n\n".join([f"## {head[2]}", place, plain(head[1]), *parts])
 
 
 def plain(notes: str) -> str:
