@@ -15,6 +15,7 @@ from pathlib import Path
 import h5py
 
 import postproc
+from postproc.theory.models import MODELS
 
 ROOT = Path(__file__).resolve().parents[2]
 PROGRAM = ROOT / "build/bin/battery"
@@ -157,7 +158,18 @@ def _first_line(value: object) -> str:
     return next(iter(_text(value).splitlines()), "")
 
 
-MADE = {"keys": keys, "help": help_text, "datasets": datasets}
+def theories(_: str) -> str:
+    """Return the table of all theories and their use."""
+    head = ["`--theory`", "label", "what it is", "time per state", "also computes", "use it for"]
+    return markdown(head, *(
+        [f"`{one.name}`", one.label, one.meaning,
+         f"{1e3 * one.seconds:g} ms" if one.seconds < 1.0 else f"{one.seconds:g} s",
+         ", ".join(one.answers), one.use]
+        for one in MODELS.values()
+    ))  # fmt: skip
+
+
+MADE = {"keys": keys, "help": help_text, "datasets": datasets, "theories": theories}
 
 
 def main() -> None:
