@@ -90,6 +90,8 @@ def test_pages_hold_what_the_program_and_the_tables_say(page: str) -> None:
     """They can be read where they lie; `make docs` writes those parts anew."""
     text = PAGES[page].read_text(encoding="utf-8")
     assert reference.filled(PAGES[page]) == text
+    kinds = set(re.findall(r"^ *```([^`\n]+)$", text, re.MULTILINE)) - {"diff", "math", "text"}
+    assert [kind for kind in kinds if not blocks.BLOCK.match(f"{kind}\n")] == []
     prose = re.sub(r"^ *```.*?^ *```", "", text, flags=re.MULTILINE | re.DOTALL)
     gone = () if (ROOT / "studies").is_dir() else ("studies/",)
     named = {name for name in PATH.findall(prose) if not name.startswith(gone)}
@@ -125,8 +127,7 @@ def test_every_page_is_in_the_site() -> None:
 def test_public_names_are_explained(tmp_path: Path) -> None:
     """Of all modules of Fortran; of Python lint demands it. One without a word is found."""
     assert all(fortran.module(path) for path in (ROOT / "src/gate").rglob("*.f90"))
-    for path in (ROOT / "src").rglob("*.[fF]90"):
-        fortran.module(path)
+    assert list(map(fortran.module, (ROOT / "src").rglob("*.[fF]90")))
     bare = "!> M.\nmodule m\n  public :: f\ncontains\n  subroutine f(x)\n{}  end subroutine f\n"
     path = tmp_path / "src/m.f90"
     path.parent.mkdir()

@@ -59,6 +59,7 @@ def evaluated(name: str, text: str, work: Path = WORK) -> tuple[str, list[tuple[
     Return its text with what blocks printed and drew below them, and the problems by lines.
     """
     document, problems, shown, end = Document(text, name), [], [], 0
+    plt.close("all")  # figures of others would be shown as those of this page
     for region in _regions(document):
         document.add(region)
     with contextlib.chdir(_new_folder(work / name)):
@@ -103,15 +104,17 @@ def _namelist(example: Example) -> str:
 def _completed(text: str) -> str:
     """Return a namelist completed by the keys that it needs for a valid, short run."""
     groups = f90nml.Parser().reads(text).todict()
-    run = groups.get("run", {})
-    if not LENGTHS & run.keys():
-        run = {"collisions": 100000, "transient_collisions": 0} | run
-    gate = {"threshold_fraction": 0.007} if "threshold_fraction" in text else {"threshold": 7}
-    gate, particles = (
-        gate | groups.get("gate", {}),
-        {"number": 1000} | groups.get("particles", {}),
-    )
-    return str(f90nml.Namelist(groups | {"run": run, "gate": gate, "particles": particles})) + "\n"
+    fraction = "threshold_fraction" in text
+    needed = {
+        "particles": {"number": 1000},
+        "gate": {"threshold_fraction": 0.007} if fraction else {"threshold": 7},
+        "run": {"collisions": 100000, "transient_collisions": 0},
+    }
+    if LENGTHS & groups.get("run", {}).keys():
+        needed["run"] = {}
+    for group, keys in needed.items():
+        groups[group] = keys | groups.get(group, {})
+    return f"{f90nml.Namelist(groups)}\n"
 
 
 def _done(*command: str | Path, **more: str) -> subprocess.CompletedProcess[str]:

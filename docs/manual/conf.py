@@ -62,13 +62,13 @@ def _block(translator: HTML5Translator, node: nodes.math_block) -> None:
 
 
 def _write_fortran_pages(_: Sphinx) -> None:
-    """Write a page for each layer of src (docs/layers.txt)."""
+    """Write a page for each layer of src, in their order (docs/layers.txt)."""
     shutil.rmtree(HERE / "generated", ignore_errors=True)
     (HERE / "generated").mkdir()
     src = (ROOT / "docs/layers.txt").read_text().split("\nsrc\n")[1].split("\n\n")[0]
-    for layer, meaning in re.findall(r"^  (\w+) +(.*)", src, re.MULTILINE):
+    for at, (layer, meaning) in enumerate(re.findall(r"^  (\w+) +(.*)", src, re.MULTILINE)):
         text = fortran.page(layer, meaning, ROOT / "src")
-        (HERE / f"generated/{layer}.md").write_text(text, encoding="utf-8")
+        (HERE / f"generated/{at:02}_{layer}.md").write_text(text, encoding="utf-8")
 
 
 def _evaluate(app: Sphinx, name: str, source: list[str]) -> None:
