@@ -159,7 +159,11 @@ $(PROCESSORS:%=build/%/bin/battery): build/%/bin/battery: FORCE | libraries $(fp
 -include studies/targets.mk
 
 docs: build build/stamps/docs ## the manual: build/site/index.html opens from disk, with search and formulas
-	@PYTHONPATH=docs:. PATH="$(CURDIR)/$(VENV)/bin:$$PATH" nice $(PYTHON) -m manual
+	@rm -rf build/site
+	$(PYTHON) docs/manual/reference.py
+	PYTHONPATH=docs/manual nice $(PYTHON) -m sphinx -E -W --keep-going -q -b html -c docs/manual -d build/manual/doctrees \
+	  . build/site || { rm -rf build/site; echo "no site was made" >&2; exit 1; }
+	echo "build/site/index.html ($$(du -sh build/site | cut -f 1))"
 
 build/stamps/docs: docs/requirements.txt $(COMMANDS)
 	@echo "Installing the Python packages of docs/requirements.txt in $(VENV)"

@@ -19,6 +19,8 @@ if TYPE_CHECKING:
     from types import ModuleType
 
 EXIT_BAD_INPUT = 2
+# The reader of a pipe, such as `head`, has enough: the exit of a program that SIGPIPE ended.
+EXIT_CLOSED_PIPE = 141
 HDF5_SIGNATURE = b"\x89HDF\r\n\x1a\n"
 NAMELIST_BEGIN = re.compile(rb"(\xef\xbb\xbf)?(\s|![^\n]*\n)*&\w")
 COMMAND = "battery-postproc"  # all commands as one, where the package is installed
@@ -201,7 +203,8 @@ def run(main: Callable[[list[str] | None], int], arguments: list[str] | None = N
     """Call `main`; report errors of input and of the system in one line, with exit 2.
 
     These are `InputError`, and errors of the system: a file or folder, memory, a full output
-    device.
+    device. A reader of the output that has enough is no error: nothing is said, and the exit is
+    141.
     """
     try:
         try:
@@ -212,6 +215,9 @@ def run(main: Callable[[list[str] | None], int], arguments: list[str] | None = N
             sys.stdout.flush()
     except InputError as problem:
         message = str(problem)
+    except BrokenPipeError:
+        _forget_output()
+        return EXIT_CLOSED_PIPE
     except OSError as problem:
         message = _system_message(problem)
     except MemoryError as problem:

@@ -110,7 +110,7 @@ def scene(
 ) -> list[PathCollection]:
     """Draw the table of one point to scale with the particles of a snapshot, by default the last.
 
-    Particles that a gate counts are larger.
+    Particles that a gate counts are larger; `ax.legend()` names the colours.
     """
     points = Points(data)
     points.need_only()

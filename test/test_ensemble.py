@@ -9,6 +9,7 @@ import signal
 import socket
 import subprocess
 import time
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -28,13 +29,13 @@ from support.program import (
     is_program,
     kill_all,
     listing,
-    namelist,
     processor_seconds,
     rank_processes,
     run,
     send,
     start,
     wait_for,
+    write_case,
 )
 
 if TYPE_CHECKING:
@@ -59,13 +60,7 @@ CASE: dict[str, dict[str, Any]] = {
 }
 
 
-def write(folder: Path, **groups: dict[str, Any]) -> Path:
-    """Write the ensemble, some keys changed."""
-    folder.mkdir(exist_ok=True)
-    case = {group: {**keys, **groups.get(group, {})} for group, keys in CASE.items()}
-    path = folder / "case.nml"
-    path.write_text(namelist(**case))
-    return path
+write = partial(write_case, CASE)
 
 
 @pytest.fixture(scope="module")

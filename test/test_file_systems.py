@@ -9,7 +9,7 @@ import sys
 from typing import TYPE_CHECKING
 
 import pytest
-from support.program import ROOT, assert_same, namelist, run
+from support.program import ROOT, assert_same, run, write_case
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -30,17 +30,12 @@ def lacking(tmp_path_factory: pytest.TempPathFactory) -> str:
     return str(library)
 
 
-def write(folder: Path, replicas: int, **limits: str) -> None:
-    """Write the input."""
-    case = {
-        "particles": {"number": 60},
-        "gate": {"threshold": 2},
-        "run": {"duration": 2000},
-        "scan": {"replicas": replicas},
-        "output": {"file": "'out.h5'"},
-        "limits": limits,
-    }
-    (folder / "case.nml").write_text(namelist(**case))
+CASE = {
+    "particles": {"number": 60},
+    "gate": {"threshold": 2},
+    "run": {"duration": 2000},
+    "output": {"file": "'out.h5'"},
+}
 
 
 @pytest.mark.full
@@ -56,28 +51,27 @@ def test_a_file_system_that_lacks_a_call_is_as_good(
         assert (ended.returncode, ended.stderr) == (code, "")
         return ended.stdout
 
-    write(tmp_path, 2, wall_minutes="1e-6")
+    write_case(CASE, tmp_path, scan={"replicas": 2}, limits={"wall_minutes": "1e-6"})
     done("--quiet", code=3)
-    write(tmp_path, 2)
+    write_case(CASE, tmp_path, scan={"replicas": 2})
     assert "going on" in done()
     assert "is complete" in done()
     assert "is complete" in done("--check")
-    write(tmp_path, 3)
+    write_case(CASE, tmp_path, scan={"replicas": 3})
     assert "going on: 2 of 3" in done()
     read = subprocess.run(
         [sys.executable, "-c", READ], cwd=tmp_path, capture_output=True, text=True, check=False,
         env={**os.environ, **without, "PYTHONPATH": str(ROOT)},
     )  # fmt: skip
     assert (read.stdout, read.stderr) == ("3\n", "")
-    (tmp_path / "calm").mkdir()
-    write(tmp_path / "calm", 3)
+    write_case(CASE, tmp_path / "calm", scan={"replicas": 3})
     assert run("--quiet", "case.nml", folder=tmp_path / "calm").returncode == 0
     assert_same(tmp_path / "out.h5", tmp_path / "calm/out.h5")
 
 
 @pytest.mark.full
 def test_a_failing_disk_is_an_error_for_a_folder_too(lacking: str, tmp_path: Path) -> None:
-    write(tmp_path, 2)
+    write_case(CASE, tmp_path, scan={"replicas": 2})
     failing = {"LD_PRELOAD": lacking, "NO_FOLDER_SYNC": str(errno.EIO)}
     ended = run("--quiet", "case.nml", folder=tmp_path, environment=failing)
     assert ended.returncode == 1

@@ -7,6 +7,7 @@ import re
 import shutil
 import signal
 import time
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import h5py
@@ -18,11 +19,11 @@ from support.program import (
     assert_same,
     finish,
     listing,
-    namelist,
     processor_seconds,
     run,
     start,
     wait_for,
+    write_case,
 )
 
 import postproc
@@ -46,12 +47,7 @@ WHOLE = {"number": "50, 100", "channel2_width": "0.01, 0.03, 0.1", "replicas": 3
 KEPT = {"series_interval": 10, "snapshot_times": "0, 20", "final_state": ".true."}
 
 
-def write(folder: Path, **groups: dict[str, Any]) -> None:
-    """Write the namelist, some keys changed; keys that are None are left out."""
-    folder.mkdir(exist_ok=True)
-    case = {name: {**CASE.get(name, {}), **groups.get(name, {})} for name in {**CASE, **groups}}
-    case = {name: {k: v for k, v in keys.items() if v is not None} for name, keys in case.items()}
-    (folder / "case.nml").write_text(namelist(**case))
+write = partial(write_case, CASE)
 
 
 def complete(folder: Path, ranks: int = 0) -> str:

@@ -19,29 +19,30 @@ from support.program import (
     command_of,
     finish,
     hears,
-    namelist,
     run,
     start,
     wait_for,
+    write_case,
 )
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
 
+CASE: dict[str, dict[str, Any]] = {
+    "particles": {"number": 100},
+    "gate": {"threshold": 2},
+    "run": {"collisions": 1000, "transient_collisions": 0},
+    "output": {"file": "'out.h5'"},
+}
+
+
 def write(folder: Path, **changes: dict[str, Any]) -> None:
-    """Write a small case with changes."""
-    groups: dict[str, dict[str, Any]] = {
-        "particles": {"number": 100},
-        "gate": {"threshold": 2},
-        "run": {"collisions": 1000, "transient_collisions": 0},
-        "output": {"file": "'out.h5'"},
-    }
-    for group, keys in changes.items():
-        groups[group] = {**groups.get(group, {}), **keys}
-        if group == "run" and "duration" in keys:
-            del groups["run"]["collisions"], groups["run"]["transient_collisions"]
-    (folder / "case.nml").write_text(namelist(**groups))
+    """Write a small case with changes; a duration takes the place of the collisions."""
+    length = dict(changes.get("run", {}))
+    if "duration" in length:
+        length |= {"collisions": None, "transient_collisions": None}
+    write_case(CASE, folder, **{**changes, "run": length})
 
 
 def room_for(megabytes: int) -> Callable[[], None]:

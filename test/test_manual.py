@@ -8,184 +8,135 @@ import subprocess
 import sys
 from typing import TYPE_CHECKING
 
-import h5py
 import pytest
 from support.program import ROOT, make
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-sys.path.insert(0, str(ROOT / "docs"))
+sys.path.insert(0, str(ROOT / "docs/manual"))
 
-from manual import fortran, pages, reference
-from manual.fences import Fences
+import blocks
+import fortran
+import reference
 
 BROWSER = shutil.which("chromium")
-
-
-def tried(folder: Path, text: str) -> list[str]:
-    fences = Fences(ROOT, folder / "work", folder / "drawn")
-    fences.shown("page.md", text)
-    return fences.problems
-
+PATH = re.compile(r"`((?:src|app|postproc|test|docs|namelists|studies)/[\w./-]+\w)(?::\d+)?`")
+PAGES = {str(path.relative_to(ROOT)): path for path in reference.pages()}
+# Blocks of the other pages are evaluated when the site is made.
+QUICK = ("tutorial", "cookbook", "command_line", "geometries", "python", "runs", "theory")
 
 GOOD = [
     "```fortran\n&run\n  collisions = 100000\n/\n```",
     "```fortran\n&scan\n  threshold = 1, 2\n/\n```",
-    "```\nmake test FULL=1\n```",
+    "```fortran\n&scan\n  threshold_fraction = 0.005, 0.007\n/\n```",
+    "```sh\nmake test FULL=1\n```",
     "```sh\nbuild/bin/battery FILE.nml\n```",
+    "```sh\ncd test\n../build/venv/bin/python -m mutants --seed 1 --count 60\n```",
     "```sh\nbattery-postproc theory --number 10 --threshold 1\n```",
     "```python run\nx = 1\n```\n\n```python run\nprint(x)\n```",
-    "```\nprinted, not typed\n```",
+    "```text\nprinted, not typed\n```",
 ]
 BAD = [
     ("```fortran\n&run\n  colisions = 1000\n/\n```", "colisions"),
     ("```fortran\n&gate\n  threshold = -1\n/\n```", "threshold"),
-    *(
-        [
-            ("```\nmake coffee\n```", "make has no coffee"),
-            ("```sh\nbuild/bin/no_such FILE.nml\n```", "there is no build/bin/no_such"),
-        ]
-        if (ROOT / "studies").is_dir()
-        else []
-    ),  # else all targets may be theirs
-    ("```sh\nbattery-postproc theory --numbr 10\n```", "postproc theory has no --numbr"),
-    ("```sh\npython -m postproc.alchemy\n```", "postproc.alchemy cannot be called"),
+    ("```sh\nmake coffee\n```", "make has no coffee"),
+    ("```sh\nbuild/bin/no_such FILE.nml\n```", "there is no build/bin/no_such"),
+    ("```sh\nbattery-postproc theory --numbr 10\n```", "postproc theory has no ['--numbr']"),
+    ("```sh\npython -m postproc.alchemy\n```", "no postproc.alchemy"),
     ("```sh\npython3 test/no_such.py\n```", "there is no test/no_such.py"),
+    ("```sh\nbuild/bin/battery namelists/no_such.nml\n```", "there is no namelists/no_such.nml"),
+    ("```sh\nbatery FILE.nml\n```", "there is no batery"),
     ("```sh run\nbuild/bin/battery no_such.nml\n```", "exit code 2"),
     ("```python run\nunknown\n```", "NameError"),
-    ("```fortran file=namelists/map.nml\n&run\n/\n```", "first line does not name namelists/map"),
-    ("```fortran file=namelists/map.nml\n! namelists/map.nml\n```", "is not what is shown"),
+    ("```fortran file=namelists/map.nml\n! other\n```", "the block is not namelists/map.nml"),
 ]
 
 
-def test_the_notebook_runs(tmp_path: Path) -> None:
-    """As someone would type it, block by block; it draws five pictures."""
-    fences = Fences(ROOT, tmp_path / "work", tmp_path / "drawn")
-    text = (ROOT / "docs/tutorial.md").read_text(encoding="utf-8")
-    fences.shown("page.md", text.replace("```sh run", "```sh"))
-    assert fences.problems == []
-    assert len(list((tmp_path / "drawn").glob("*.png"))) == 5
-    table = (tmp_path / "work/map.csv").read_text(encoding="utf-8")
-    assert len(table.splitlines()) == 1 + 6 * 4
+@pytest.mark.parametrize("name", QUICK)
+def test_the_blocks_of_a_page_work(tmp_path: Path, name: str) -> None:
+    """As someone would type them, one after the other."""
+    text, problems = blocks.evaluated(name, PAGES[f"docs/{name}.md"].read_text(), tmp_path)
+    assert problems == []
+    if name == "tutorial":
+        assert text.count("![What it drew]") > 5
+        assert len((tmp_path / name / "map.csv").read_text().splitlines()) == 1 + 6 * 4
 
 
 @pytest.mark.parametrize("text", GOOD)
 def test_a_block_that_works_is_no_problem(tmp_path: Path, text: str) -> None:
-    assert tried(tmp_path, text) == []
+    assert blocks.evaluated("page", text, tmp_path)[1] == []
 
 
 @pytest.mark.parametrize(("text", "said"), BAD)
 def test_a_block_that_does_not_work_is_a_problem(tmp_path: Path, text: str, said: str) -> None:
-    """It is named with its page and line."""
-    (problem,) = tried(tmp_path, "one line\n\n" + text)
-    assert problem.startswith("page.md:3: ")
+    """It is named with its line."""
+    ((line, problem),) = blocks.evaluated("page", "one line\n\n" + text, tmp_path)[1]
+    assert line == 3
     assert said in problem
 
 
-@pytest.mark.parametrize(
-    "text", ["[x](no_such.md)", "[x](../no_such.txt)", "![x](none.png)", "`src/gate/none.f90`"]
-)
-def test_a_link_that_leads_nowhere_is_a_problem(tmp_path: Path, text: str) -> None:
-    _, (problem,) = pages.linked(ROOT, tmp_path, "docs/theory.md", f"See {text}.")
-    assert "docs/theory.md" in problem
+def test_what_a_block_prints_and_draws_is_shown_below_it(tmp_path: Path) -> None:
+    text = "```python run\nimport matplotlib.pyplot as plt\nprint(6 * 7)\nplt.figure()\n```"
+    shown = f"{text}\nbelow\n```sh check\necho unseen\n```\n"
+    shown, _ = blocks.evaluated("page", shown, tmp_path)
+    assert shown.startswith(f"{text}\n\n```text\n42\n```\n\n![What it drew](/")
+    assert shown.endswith("drawn/1.png)\nbelow\n```sh check\necho unseen\n```\n")
+    assert (tmp_path / "page/drawn/1.png").is_file()
 
 
-def test_links_lead_within_the_site(tmp_path: Path) -> None:
-    """Pages to pages, files to copies of them; code stays as it is."""
-    text = "[a](accuracy.md#b) [c](../CITATION.cff) `[d](e.md)` [f](https://example.org)"
-    changed, problems = pages.linked(ROOT, tmp_path, "docs/theory.md", text)
-    assert problems == []
-    expected = "[a](accuracy.md#b) [c](files/CITATION.cff) `[d](e.md)` [f](https://example.org)"
-    assert changed == expected
-    assert (tmp_path / "files/CITATION.cff").is_file()
-
-
-def test_pages_can_do_without_studies(tmp_path: Path) -> None:
-    """Where they are deleted, links to them are text, and no caption of the side bar is empty."""
-    (tmp_path / "docs").mkdir()
-    gone = "studies"  # the name alone: nothing else here knows a study
-    text = f"[a](../{gone}/no/README.md#b), ![c](../{gone}/no.png), `{gone}/no/x.csv`"
-    changed, problems = pages.linked(tmp_path, tmp_path, "docs/validation.md", text)
-    assert (changed, problems) == (f"a, c, `{gone}/no/x.csv`", [])
-    assert pages.contents(tmp_path, {}, {}) == "\n"
-    (tmp_path / gone).mkdir()
-    _, problems = pages.linked(tmp_path, tmp_path, "docs/validation.md", text)
-    assert len(problems) == 3
-
-
-def test_reference_pages_hold_what_the_program_says(tmp_path: Path) -> None:
+@pytest.mark.parametrize("page", PAGES)
+def test_pages_hold_what_the_program_and_the_tables_say(page: str) -> None:
     """They can be read where they lie; `make docs` writes those parts anew."""
-    made, problems = reference.generated(ROOT, tmp_path)
-    assert problems == []
-    texts = {name: (ROOT / f"docs/{name}.md").read_text()
-             for name in ("input", "output", "command_line")}  # fmt: skip
-    assert {name: pages.filled(text, made) for name, text in texts.items()} == texts
-    assert all(any(part in text for text in texts.values()) for part in made.values())
+    text = PAGES[page].read_text(encoding="utf-8")
+    assert reference.filled(PAGES[page]) == text
+    kinds = set(re.findall(r"^ *```([^`\n]+)$", text, re.MULTILINE)) - {"diff", "math", "text"}
+    assert [kind for kind in kinds if not blocks.BLOCK.match(f"{kind}\n")] == []
+    prose = re.sub(r"^ *```.*?^ *```", "", text, flags=re.MULTILINE | re.DOTALL)
+    gone = () if (ROOT / "studies").is_dir() else ("studies/",)
+    named = {name for name in PATH.findall(prose) if not name.startswith(gone)}
+    assert [name for name in sorted(named) if not (ROOT / name).exists()] == []
 
 
-def test_tables_of_pages_are_their_files(tmp_path: Path) -> None:
-    """Each is the CSV file that a study wrote beside the page, and changes with it."""
+def test_a_table_of_a_page_changes_with_its_file(tmp_path: Path) -> None:
     (tmp_path / "one.csv").write_text('T,chi\n7,"0.9, or so"\n')
-    page = "A\n\n<!-- one.csv: written by make docs -->\n\nold\n\n<!-- end of one.csv -->\n"
-    text = pages.filled(page, pages.tables(tmp_path, "page.md", page))
-    assert "\n\n| T | chi |\n| --- | --- |\n| 7 | 0.9, or so |\n\n" in text
-    assert "old" not in text
-    for file in pages.pages(ROOT).values():
-        text = (ROOT / file).read_text()
-        assert pages.filled(text, pages.tables(ROOT, file, text)) == text, file
+    page = tmp_path / "page.md"
+    page.write_text(
+        "A\n\n<!-- one.csv: written by make docs -->\n\nold\n\n<!-- end of one.csv -->\n"
+    )
+    assert "\n\n| T | chi |\n| --- | --- |\n| 7 | 0.9, or so |\n\n" in reference.filled(page)
+    assert "old" not in reference.filled(page)
 
 
-def test_a_namelist_that_a_page_names_is_that_file() -> None:
-    """Its first line says the name, where a reader sees it; commands name files that are there."""
-    shown = set()
-    for file in pages.pages(ROOT).values():
-        for words, body in re.findall(r"^```fortran ([^\n]+)\n(.*?)^```", (ROOT / file).read_text(),
-                                      re.MULTILINE | re.DOTALL):  # fmt: skip
-            name = re.fullmatch(r"file=(namelists/\w+\.nml)", words)[1]
-            assert body.startswith(f"! {name}: "), file
-            assert body == (ROOT / name).read_text(), file
-            shown.add(name)
-    assert len(shown) >= 5
+def test_examples_of_keys_are_those_of_the_page() -> None:
+    """A key that the page lacks has its default."""
+    page = PAGES["docs/input.md"].read_text()
+    seed = "#### seed\n\nBetter words.\n\n```fortran\n&particles\n  seed = 11\n/\n```\n"
+    assert "  seed = 11\n" in reference.keys(f"\n### &particles\n\n{seed}")
+    assert "#### seed" in page
+    assert "  engine = 'excursion'\n" in reference.keys("")
 
 
 def test_every_page_is_in_the_site() -> None:
-    """A page in docs that no list has would be found by nobody."""
-    listed = set(pages.pages(ROOT).values())
-    assert {f"docs/{path.name}" for path in (ROOT / "docs").glob("*.md")} - listed == set()
+    """A page that no list has would be found by nobody; `README.md` has the lists."""
+    listed = (ROOT / "docs/manual/contents.md").read_text().split()
+    own = {name for name in PAGES if not name.startswith("studies/") and name != "README.md"}
+    assert {name.removesuffix(".md") for name in own} - set(listed) == set()
 
 
-def test_public_names_are_explained() -> None:
-    """Of all modules of Fortran; of Python lint demands it."""
-    modules = [fortran.read_module(path) for path in sorted((ROOT / "src").rglob("*.[fF]90"))]
-    assert [one for module in modules if module for one in fortran.unexplained(module)] == []
-
-
-def test_a_public_name_without_a_word_is_found(tmp_path: Path) -> None:
-    bare = "!> M.\nmodule m\n  public :: f\ncontains\n  subroutine f()\n  end subroutine f\n"
-    (tmp_path / "m.f90").write_text(bare)
-    assert fortran.unexplained(fortran.read_module(tmp_path / "m.f90"))
-    (tmp_path / "m.f90").write_text(bare.replace("  subroutine", "  !> Does.\n  subroutine"))
-    assert fortran.unexplained(fortran.read_module(tmp_path / "m.f90")) == []
-
-
-@pytest.mark.full
-def test_every_key_has_a_snippet_that_the_program_takes(tmp_path: Path) -> None:
-    keys = reference.all_keys(ROOT / "build/bin/battery")
-    assert len(keys) > 40
-    text = reference.input_table(keys)
-    assert text.count("```fortran") == len(keys)
-    assert all(f"#### {key.name}\n" in text and key.meaning and key.allowed for key in keys)
-    width = next(key for key in keys if key.name == "channel2_width")
-    assert (width.unit, width.symbol) == ("length", "w'")
-    assert tried(tmp_path, text) == []
-
-
-def test_a_dataset_that_says_nothing_is_found(tmp_path: Path) -> None:
-    with h5py.File(tmp_path / "bare.h5", "w") as file:
-        file["chi"] = 1.0
-        file["chi"].attrs["units"] = "1"
-    assert reference.unexplained(tmp_path / "bare.h5") == ["results file: chi has no long_name"]
+def test_public_names_are_explained(tmp_path: Path) -> None:
+    """Of all modules of Fortran; of Python lint demands it. One without a word is found."""
+    assert all(fortran.module(path) for path in (ROOT / "src/gate").rglob("*.f90"))
+    assert list(map(fortran.module, (ROOT / "src").rglob("*.[fF]90")))
+    bare = "!> M.\nmodule m\n  public :: f\ncontains\n  subroutine f(x)\n{}  end subroutine f\n"
+    path = tmp_path / "src/m.f90"
+    path.parent.mkdir()
+    path.write_text(bare.format("    real, intent(in) :: x\n    real :: y\n\n"))
+    with pytest.raises(fortran.UnexplainedError, match=r"f$"):
+        fortran.module(path)
+    path.write_text(path.read_text().replace("  subroutine", "  !> Does.\n  subroutine", 1))
+    section = "### f\n\nDoes.\n\n```fortran\nsubroutine f(x)\n  real, intent(in) :: x\n```"
+    assert fortran.module(path) == f"## m\n\n`src/m.f90`\n\nM.\n\n{section}"
 
 
 @pytest.mark.full
@@ -196,7 +147,7 @@ def test_the_site_is_made_and_the_browser_has_nothing_to_say(tmp_path: Path) -> 
     site = ROOT / "build/site"
     loaded = re.compile(r"<(?:script|link|img)[^>]*(?:src|href)=\"(?:https?:)?//")
     assert [path.name for path in site.rglob("*.html") if loaded.search(path.read_text())] == []
-    for name in ("index.html", "theory.html", "input.html", "search.html?q=channel2_width"):
+    for name in ("index.html", "docs/theory.html", "search.html?q=channel2_width"):
         done = subprocess.run(
             [
                 BROWSER,
@@ -215,5 +166,5 @@ def test_the_site_is_made_and_the_browser_has_nothing_to_say(tmp_path: Path) -> 
             timeout=120,
         )
         assert "CONSOLE" not in done.stderr, name
-    assert 'href="input.html#' in done.stdout
-    assert "<math" in (site / "theory.html").read_text()
+    assert 'href="docs/input.html#' in done.stdout
+    assert "<math" in (site / "docs/theory.html").read_text()

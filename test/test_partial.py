@@ -5,7 +5,7 @@ from __future__ import annotations
 import shutil
 import signal
 from concurrent.futures import ThreadPoolExecutor
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import h5py
 import numpy as np
@@ -14,12 +14,12 @@ from support.program import (
     assert_same,
     contents,
     finish,
-    namelist,
     rank_processes,
     run,
     send,
     start,
     wait_for,
+    write_case,
 )
 
 from postproc import open_results
@@ -31,23 +31,21 @@ PARTIAL = "out.h5.partial.h5"
 TASKS = 24
 
 
-def write(folder: Path, **more: Any) -> None:
-    """Write a scan of tasks of a tenth of a second with all kinds of output but events."""
-    text = namelist(
-        particles={"number": 500},
-        run={"duration": 20000.0, "transient_duration": 500.0},
-        scan={"threshold": "2, 4, 6", "replicas": TASKS // 3, **more},
-        output={"file": "'out.h5'", "series_interval": 1000.0, "snapshot_times": "0, 500",
-                "final_state": ".true."},
-    )  # fmt: skip
-    (folder / "case.nml").write_text(text)
+# Tasks of a tenth of a second with all kinds of output but events.
+CASE = {
+    "particles": {"number": 500},
+    "run": {"duration": 20000.0, "transient_duration": 500.0},
+    "scan": {"threshold": "2, 4, 6", "replicas": TASKS // 3},
+    "output": {"file": "'out.h5'", "series_interval": 1000.0, "snapshot_times": "0, 500",
+               "final_state": ".true."},
+}  # fmt: skip
 
 
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return the results of the run without interruption."""
     folder = tmp_path_factory.mktemp("whole")
-    write(folder)
+    write_case(CASE, folder)
     assert run("case.nml", folder=folder, ranks=2).returncode == 0
     return folder / "out.h5"
 
@@ -67,7 +65,7 @@ def check_true(partial: Path, whole: Path) -> int:
 
 def test_beside_a_run_and_after_its_death_and_then_it_grows(tmp_path: Path, whole: Path) -> None:
     """Renamed to the output it goes on like any other partial file, also without the journal."""
-    write(tmp_path)
+    write_case(CASE, tmp_path)
     ended = run("--partial", "case.nml", folder=tmp_path)
     assert (ended.returncode, "no task is finished yet" in ended.stderr) == (2, True)
     process = start("case.nml", folder=tmp_path, ranks=2)
@@ -94,7 +92,7 @@ def test_beside_a_run_and_after_its_death_and_then_it_grows(tmp_path: Path, whol
 
 def test_two_at_once_while_a_run_overwrites_and_ends(tmp_path: Path, whole: Path) -> None:
     """Each writes a file that is true, or has none to write."""
-    write(tmp_path)
+    write_case(CASE, tmp_path)
     (tmp_path / "out.h5").write_bytes(whole.read_bytes())
     process = start("--overwrite", "case.nml", folder=tmp_path, ranks=2)
 
@@ -122,7 +120,7 @@ def test_two_at_once_while_a_run_overwrites_and_ends(tmp_path: Path, whole: Path
 def test_only_a_partial_file_of_its_own_input_is_replaced(
     tmp_path: Path, whole: Path, there: str
 ) -> None:
-    write(tmp_path, channel2_width="0.02")
+    write_case(CASE, tmp_path, scan={"channel2_width": "0.02"})
     if there == "text":
         (tmp_path / PARTIAL).write_text("mine\n")
     else:
@@ -134,7 +132,7 @@ def test_only_a_partial_file_of_its_own_input_is_replaced(
 
 
 def test_of_results_that_are_complete_it_is_a_copy(tmp_path: Path, whole: Path) -> None:
-    write(tmp_path)
+    write_case(CASE, tmp_path)
     (tmp_path / "out.h5").write_bytes(whole.read_bytes())
     ended = run("--partial", "case.nml", folder=tmp_path)
     assert ended.stdout == f"{PARTIAL}: has {TASKS} of {TASKS} tasks\n"

@@ -9,12 +9,12 @@ import pytest
 from support.program import (
     finish,
     hears,
-    namelist,
     rank_processes,
     run,
     send,
     start,
     wait_for,
+    write_case,
 )
 
 if TYPE_CHECKING:
@@ -23,17 +23,14 @@ if TYPE_CHECKING:
 WAYS = ["USR1", "wall_minutes"]
 
 
-def write(folder: Path, wall_minutes: float = 0.0) -> None:
-    """Write a long case whose state takes some time to save."""
-    (folder / "case.nml").write_text(
-        namelist(
-            particles={"number": 200_000},
-            gate={"threshold": 500},
-            run={"collisions": 100_000_000_000},
-            output={"file": "'out.h5'"},
-            limits={"wall_minutes": wall_minutes, "checkpoint_minutes": 0.01},
-        )
-    )
+# A long case whose state takes some time to save.
+CASE = {
+    "particles": {"number": 200_000},
+    "gate": {"threshold": 500},
+    "run": {"collisions": 100_000_000_000},
+    "output": {"file": "'out.h5'"},
+    "limits": {"checkpoint_minutes": 0.01},
+}
 
 
 def test_the_help_names_the_ways_that_lose_nothing(tmp_path: Path) -> None:
@@ -45,7 +42,7 @@ def test_the_help_names_the_ways_that_lose_nothing(tmp_path: Path) -> None:
 
 def test_a_stopped_run_names_the_ways_that_lose_nothing(tmp_path: Path) -> None:
     """The message of a run that its limit stopped says how to stop one by hand under mpirun."""
-    write(tmp_path, wall_minutes=0.02)
+    write_case(CASE, tmp_path, limits={"wall_minutes": 0.02})
     for ranks in (2, 1):
         ended = run("case.nml", folder=tmp_path, ranks=ranks)
         assert ended.returncode == 3, ended.stderr
@@ -54,7 +51,7 @@ def test_a_stopped_run_names_the_ways_that_lose_nothing(tmp_path: Path) -> None:
 
 def test_the_signal_that_mpirun_passes_on_loses_nothing(tmp_path: Path) -> None:
     """SIGUSR1 to mpirun: the state is saved, and mpirun has the program's exit code."""
-    write(tmp_path)
+    write_case(CASE, tmp_path)
     process = start("case.nml", folder=tmp_path, ranks=2)
     assert rank_processes(process, 2)
     # A signal that comes before the task has begun finds nothing to save.
@@ -80,7 +77,7 @@ def test_the_signals_of_batch_systems_and_terminals_lose_nothing(
     tmp_path: Path, what: signal.Signals, ranks: int
 ) -> None:
     """A warning, an exhausted processor time, a closed terminal: the state is saved, exit 3."""
-    write(tmp_path)
+    write_case(CASE, tmp_path)
     process = start("case.nml", folder=tmp_path, ranks=ranks)
     assert rank_processes(process, ranks)
     assert wait_for(lambda: any((tmp_path / "out.h5.tasks").glob("task_*")), process)
@@ -96,7 +93,7 @@ def test_nohup_keeps_a_run_from_the_signal_of_its_terminal(tmp_path: Path) -> No
     def ignore() -> None:
         signal.signal(signal.SIGHUP, signal.SIG_IGN)
 
-    write(tmp_path)
+    write_case(CASE, tmp_path)
     process = start("case.nml", folder=tmp_path, prepare=ignore)
     assert wait_for(lambda: any((tmp_path / "out.h5.tasks").glob("task_*")), process)
     assert not hears(process, signal.SIGHUP)
@@ -110,7 +107,7 @@ def test_a_longer_grace_of_mpirun_loses_nothing(tmp_path: Path) -> None:
     """SIGTERM to an mpirun that waits for its ranks: the state is saved, though it says 1."""
     if "Open MPI v4" not in run("--version", folder=tmp_path).stdout:
         pytest.skip("only Open MPI 4 has that setting")
-    write(tmp_path)
+    write_case(CASE, tmp_path)
     grace = {"OMPI_MCA_odls_base_sigkill_timeout": "8"}
     process = start("case.nml", folder=tmp_path, ranks=2, environment=grace)
     assert rank_processes(process, 2)

@@ -1,285 +1,185 @@
-"""References of input and output, made from the program's keys and from a results file."""
+"""Generated parts of pages: the program's keys and help, datasets, and CSV files as tables.
+
+`python reference.py` writes them into the pages, so that they can be read there.
+"""
 
 from __future__ import annotations
 
+import csv
 import json
 import re
 import subprocess
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+import tempfile
+from pathlib import Path
 
-import f90nml
 import h5py
 
-if TYPE_CHECKING:
-    from pathlib import Path
+import postproc
+from postproc.theory.models import MODELS
 
-# Corners of two polygons.
-SQUARE = "1, -1, 1, 1, -1, 1, -1, -1"
-HOUSE = "1, -1, 1, 1, 0, 2, -1, 1, -1, -1"
-
-# Example of a key: its value, or whole groups if the key needs other keys.
-EXAMPLES: dict[str, str | dict[str, dict[str, str]]] = {
-    "table/urn_radius": "1, 0.8",
-    "table/urn_sides": {"table": {"urn_shape": "'polygon'", "urn_sides": "6"}},
-    "table/urn_vertices": {"table": {"urn_shape": "'polygon'", "urn_vertices": SQUARE}},
-    "table/urn2_vertices": {
-        "table": {"urn_shape": "'polygon'", "urn_vertices": SQUARE, "urn2_vertices": HOUSE}
-    },
-    "particles/number": "1000",
-    "particles/urn1_number": "900",
-    "particles/urn1_fraction": "0.9",
-    "particles/seed": "42",
-    "particles/initial_file": {"particles": {"number": "2", "initial_file": "'start.txt'"}},
-    "gate/threshold": "7",
-    "gate/threshold_fraction": "0.007",
-    "run/transient_collisions": "20000000",
-    "run/duration": "5000",
-    "run/transient_duration": {"run": {"duration": "5000", "transient_duration": "2000"}},
-    "run/start_time": "100",
-    "run/time_step": {"run": {"engine": "'timestep'", "time_step": "0.001"}},
-    "table/scatterers": "0, 0, 0.002, 0.2, 0.004, 0.002",
-    "scan/threshold": "5, 7, 9",
-    "scan/threshold_range": "1, 25, 25",
-    "scan/threshold2": {"scan": {"threshold": "5, 7", "threshold2": "7, 9"}},
-    "scan/threshold2_range": "5, 9, 5",
-    "scan/threshold_fraction": "0.005, 0.007",
-    "scan/threshold_fraction_range": "0.001, 0.025, 25",
-    "scan/number": "500, 1000",
-    "scan/number_range": "100, 1000, 10",
-    "scan/channel1_width": "0.2, 0.3",
-    "scan/channel1_width_range": "0.1, 0.3, 3",
-    "scan/channel2_width": "0.01, 0.03",
-    "scan/channel2_width_range": "0.002, 0.1, 25",
-    "scan/channel1_length": "1, 2",
-    "scan/channel1_length_range": "1, 4, 4",
-    "scan/channel2_length": "0.5, 1",
-    "scan/channel2_length_range": "0.5, 2, 4",
-    "scan/urn_radius": "1, 2",
-    "scan/urn_radius_range": "1, 2, 3",
-    "scan/urn_radius2": {"scan": {"urn_radius": "1, 2", "urn_radius2": "2, 1"}},
-    "scan/urn_radius2_range": "1, 2, 3",
-    "scan/urn1_fraction": "0.5, 1",
-    "scan/urn1_fraction_range": "0.5, 1, 6",
-    "scan/replicas": "4",
-    **{
-        f"precision/{key}": {"scan": {"replicas": "16"}, "precision": {key: value, **beside}}
-        for key, value, beside in (
-            ("chi_replica_error", "0.001", {}),
-            ("polarised_current_replica_error", "0.01", {}),
-            ("largest_replicas", "128", {"chi_replica_error": "0.001"}),
-        )
-    },
-    "output/series_interval": "10",
-    "output/snapshot_times": "0, 1000, 2000",
-    "output/snapshot_times_range": "0, 2000, 3",
-    "output/event_log": {"run": {"duration": "50"}, "output": {"event_log": ".true."}},
-    "output/final_state": ".true.",
-    "limits/wall_minutes": "115",
-}
-BASE = {"particles": {"number": "1000"}, "gate": {"threshold": "7"}}
+ROOT = Path(__file__).resolve().parents[2]
+PROGRAM = ROOT / "build/bin/battery"
+# Between these lines of a page is a part from the program, or from a CSV file beside the page.
+PART = re.compile(
+    r"(<!-- ([\w.]+): written by make docs -->\n\n).*?(<!-- end of \2 -->)", re.DOTALL
+)
 # A run of a few particles whose results file has all datasets.
-EVERYTHING = """&particles
-  number = 100
-/
-&gate
-  threshold = 3
-/
-&run
-  duration = 30
-  transient_duration = 10
-/
-&scan
-  threshold = 3
-/
-&output
-  file = 'everything.h5'
-  series_interval = 10
-  snapshot_times = 0, 10
-  event_log = .true.
-  final_state = .true.
-/
-"""
+EVERYTHING = {
+    "particles": {"number": 100},
+    "run": {"duration": 30.0, "transient_duration": 10.0},
+    "scan": {"threshold": [3]},
+    "output": {
+        "series_interval": 10.0, "snapshot_times": [0.0, 10.0], "event_log": True,
+        "final_state": True,
+    },
+}  # fmt: skip
 # Attributes of a results file that depend on machine, build or run.
 VARYING = {"compiler", "compiler_options", "created", "git_commit", "gsl_library", "hdf5_library",
            "initial_file_fingerprint", "mpi_library", "version"}  # fmt: skip
-# An initial file of two particles, for the example that names one.
-START = "-2 0.5 1 0\n2 -0.5 0 1\n"
 # The allowed values begin with one of these words; before them is the meaning of the key.
 TOLD = re.compile(
     r"(.*?); ((?:one (?:whole number|number|text)|whole numbers|numbers|first, last|'|\.true).*)"
 )
-# The keys for the length of a run.
-LENGTHS = {"collisions", "transient_collisions", "duration", "transient_duration"}
-# A key and the key that replaces it.
-EITHER = {"threshold_fraction": ("gate", "threshold")}
 
 
-@dataclass(frozen=True)
-class Key:
-    """A key of the namelist, from the output of the program."""
-
-    group: str
-    name: str
-    default: str
-    meaning: str
-    allowed: str
-    unit: str
-    symbol: str
-
-    @property
-    def example(self) -> str:
-        """The key in its group, with a value, as a namelist."""
-        value = EXAMPLES.get(f"{self.group}/{self.name}", self.default)
-        groups = value if isinstance(value, dict) else {self.group: {self.name: value}}
-        return written(groups)
+def pages() -> list[Path]:
+    """Return the pages of the site; studies may be deleted."""
+    names = ("README.md", "CONTRIBUTING.md", "CHANGELOG.md", "docs/*.md", "studies/**/README.md")
+    return [path for name in names for path in sorted(ROOT.glob(name))]
 
 
-def generated(root: Path, folder: Path) -> tuple[dict[str, str], list[str]]:
-    """Return the generated parts of pages, and the problems with them.
+def filled(path: Path) -> str:
+    """Return the text of a page with its generated parts as they should be."""
+    text = path.read_text(encoding="utf-8")
 
-    A run in `folder` writes a results file with all datasets.
-    """
-    program = root / "build/bin/battery"
-    keys = all_keys(program)
-    (folder / "everything.nml").write_text(EVERYTHING)
-    subprocess.run([program, "--quiet", "--overwrite", "everything.nml"], cwd=folder, check=True)
-    results = folder / "everything.h5"
-    help_text = said(program, "--help").split("\nGroups and keys")[0].rstrip()
-    parts = {
-        "keys": input_table(keys),
-        "datasets": output_table(results),
-        "help": f"```text\n{help_text}\n```\n",
-    }
-    return parts, unexplained(results)
+    def part(match: re.Match[str]) -> str:
+        csv_file = match[2].endswith(".csv")
+        made = table(path.parent / match[2]) if csv_file else MADE[match[2]](match[0])
+        return f"{match[1]}{made.strip()}\n\n{match[3]}"
+
+    return PART.sub(part, text)
 
 
-def written(groups: dict[str, dict[str, str]]) -> str:
-    """Return groups as a namelist."""
-    lines = []
-    for group, keys in groups.items():
-        lines += [f"&{group}", *(f"  {name} = {value}" for name, value in keys.items()), "/"]
-    return "\n".join(lines)
+def table(path: Path) -> str:
+    """Return a CSV file as a table."""
+    with path.open(newline="", encoding="utf-8") as lines:
+        return markdown(*csv.reader(lines))
 
 
-def completed(text: str) -> str:
-    """Return a namelist completed by the keys that it needs for a valid, short run."""
-    groups = f90nml.Parser().reads(text).todict()
-    for group, keys in BASE.items():
-        for name, value in keys.items():
-            there = groups.get(group, {})
-            instead = [other for other, place in EITHER.items() if place == (group, name)]
-            if not any(one in there for one in (name, *instead)):
-                groups.setdefault(group, {})[name] = int(value)
-    # `--check` measures the speed of a run, for at most the length of the run.
-    if not LENGTHS & groups.setdefault("run", {}).keys():
-        groups["run"] |= {"collisions": 100000, "transient_collisions": 0}
-    scanned = groups.get("scan", {})
-    if any(name.startswith("threshold_fraction") for name in scanned):
-        groups["gate"] = {"threshold_fraction": 0.007}
-    return str(f90nml.Namelist(groups)) + "\n"
+def markdown(head: list[str], *rows: list[str]) -> str:
+    """Return a table of Markdown."""
+    return "\n".join(f"| {' | '.join(row)} |" for row in (head, ["---"] * len(head), *rows))
 
 
-def all_keys(program: Path) -> list[Key]:
-    """Return all keys in their order, from `--schema`."""
-    found = []
-    for group, keys in json.loads(said(program, "--schema"))["properties"].items():
-        for name, entry in keys["properties"].items():
-            parts = re.split("; (unit|in the paper|default): ", entry["description"])
-            of = dict(zip(parts[1::2], parts[2::2], strict=True))
-            place = (of.get("default", ""), *_meaning_and_allowed(parts[0]))
-            found.append(Key(group, name, *place, of.get("unit", ""), of.get("in the paper", "")))
-    return found
-
-
-def _meaning_and_allowed(text: str) -> tuple[str, str]:
-    match = TOLD.fullmatch(text)
-    if match is None:
-        raise ValueError(f"no meaning and allowed values of a key: {text}")
-    return match[1], match[2]
-
-
-def said(program: Path, option: str) -> str:
+def said(option: str) -> str:
     """Return the output of the program for an option."""
     return subprocess.run(
-        [program, option], check=False, text=True, stdin=subprocess.DEVNULL, capture_output=True
+        [PROGRAM, option], check=True, text=True, stdin=subprocess.DEVNULL, capture_output=True
     ).stdout
 
 
-def input_table(keys: list[Key]) -> str:
-    """Return the reference of all keys, with a heading for each group and key."""
-    lines, group = [], ""
-    for key in keys:
-        if key.group != group:
-            group = key.group
-            lines += [f"### &{group}", ""]
-        lines += [f"#### {key.name}", "", f"{sentence(key.meaning)}", ""]
-        lines += ["| default | allowed | unit | in the paper |", "| --- | --- | --- | --- |"]
-        default = f"`{key.default}`" if key.default else "none"
-        lines += [f"| {default} | {key.allowed} | {key.unit or '-'} | {key.symbol or '-'} |", ""]
-        lines += ["```fortran", key.example, "```", ""]
+def help_text(_: str) -> str:
+    """Return what `--help` says, without the keys."""
+    text = said("--help").split("\nGroups and keys")[0].rstrip()
+    return f"```text\n{text}\n```"
+
+
+def keys(before: str) -> str:
+    """Return the reference of all keys, from `--schema`; the examples are those there before.
+
+    The example of a new key is its default, until the page has a better one.
+    """
+    examples = {
+        (group.split("\n", 1)[0], name): example
+        for group in before.split("\n### &")[1:]
+        for name, example in re.findall(r"#### (\w+)\n.*?(```.*?```)", group, re.DOTALL)
+    }
+    lines = []
+    for group, entry in json.loads(said("--schema"))["properties"].items():
+        lines += [f"### &{group}", ""]
+        for name, key in entry["properties"].items():
+            told, *more = re.split("; (unit|in the paper|default): ", key["description"])
+            of = dict(zip(more[::2], more[1::2], strict=True))
+            meaning, allowed = TOLD.fullmatch(told).groups()
+            default = of.get("default", "")
+            example = f"```fortran\n&{group}\n  {name} = {default}\n/\n```"
+            lines += [f"#### {name}", "", f"{meaning[:1].upper()}{meaning[1:]}.", ""]
+            row = [f"`{default}`" if default else "none", allowed, of.get("unit", "-")]
+            head = ["default", "allowed", "unit", "in the paper"]
+            lines += [markdown(head, [*row, of.get("in the paper", "-")]), ""]
+            lines += [examples.get((group, name), example), ""]
     return "\n".join(lines)
 
 
-def sentence(text: str) -> str:
-    """Return a text as a sentence."""
-    return f"{text[:1].upper()}{text[1:]}."
-
-
-def output_table(path: Path) -> str:
+def datasets(_: str) -> str:
     """Return the reference of all datasets and attributes of a results file."""
-    lines = []
-    with h5py.File(path, "r") as file:
-        groups: dict[str, list[h5py.Dataset]] = {}
+    parts = []
+    with tempfile.TemporaryDirectory() as folder:
+        output = EVERYTHING["output"] | {"file": f"{folder}/everything.h5"}
+        path = postproc.run(EVERYTHING | {"output": output}, quiet=True)
+        with h5py.File(path, "r") as file:
+            groups: dict[str, list[list[str]]] = {}
 
-        def keep(_: str, item: object) -> None:
-            if isinstance(item, h5py.Dataset) and not _is_axis(item):
-                groups.setdefault(item.parent.name.strip("/"), []).append(item)
+            def keep(_: str, item: object) -> None:
+                if isinstance(item, h5py.Dataset) and not _is_axis(item):
+                    groups.setdefault(item.parent.name.strip("/"), []).append(_row(item))
 
-        file.visititems(keep)
-        for group, datasets in groups.items():
-            lines += [f"### {f'Group {group}' if group else 'Datasets'}", ""]
-            lines += ["| name | unit | of each | what |", "| --- | --- | --- | --- |"]
-            lines += [_row(one) for one in datasets] + [""]
-        lines += ["### Attributes of the file", "", "| name | for example |", "| --- | --- |"]
-        for name, value in file.attrs.items():
-            text = value.decode() if isinstance(value, bytes) else str(value)
-            first = text.strip().splitlines()[0] if text.strip() else ""
-            if not name.startswith("_NC"):
-                lines.append(f"| `{name}` | {'' if name in VARYING else f'`{first}`'} |")
-    return "\n".join(lines) + "\n"
-
-
-def unexplained(path: Path) -> list[str]:
-    """Return the datasets of a results file without a unit or a meaning."""
-    missing = []
-    with h5py.File(path, "r") as file:
-
-        def look(name: str, item: object) -> None:
-            if isinstance(item, h5py.Dataset) and not _is_axis(item):
-                lacks = [one for one in ("units", "long_name") if one not in item.attrs]
-                missing.extend(f"results file: {name} has no {one}" for one in lacks)
-
-        file.visititems(look)
-    return missing
+            file.visititems(keep)
+            for group, rows in groups.items():
+                parts += [f"### {f'Group {group}' if group else 'Datasets'}"]
+                parts += [markdown(["name", "unit", "of each", "what"], *rows)]
+            rows = [
+                [f"`{name}`", "" if name in VARYING else f"`{_first_line(value)}`"]
+                for name, value in file.attrs.items()
+                if not name.startswith("_NC")
+            ]
+    parts += ["### Attributes of the file", markdown(["name", "for example"], *rows)]
+    return "\n\n".join(parts)
 
 
 def _is_axis(item: h5py.Dataset) -> bool:
     return "without corresponding variable" in _text(item.attrs.get("NAME", ""))
 
 
-def _row(item: h5py.Dataset) -> str:
-    axes = []
-    for axis in item.dims:
-        scale = axis[0].name.rsplit("/", 1)[-1] if len(axis) else axis.label
-        axes.append(scale)
+def _row(item: h5py.Dataset) -> list[str]:
+    axes = [axis[0].name.rsplit("/", 1)[-1] if len(axis) else axis.label for axis in item.dims]
+    unit, meaning = (_text(item.attrs[one]) for one in ("units", "long_name"))
     name = item.name.rsplit("/", 1)[-1]
-    unit, meaning = (_text(item.attrs.get(one, "")) for one in ("units", "long_name"))
-    meaning = meaning.replace("|", "\\|")
-    return f"| `{name}` | {unit} | {', '.join(axes) or '-'} | {meaning} |"
+    return [f"`{name}`", unit, ", ".join(axes) or "-", meaning.replace("|", "\\|")]
 
 
 def _text(value: object) -> str:
     if hasattr(value, "ravel"):
         value = value.ravel()[0] if value.size else ""
     return value.decode().strip() if isinstance(value, bytes) else str(value).strip()
+
+
+def _first_line(value: object) -> str:
+    return next(iter(_text(value).splitlines()), "")
+
+
+def theories(_: str) -> str:
+    """Return the table of all theories and their use."""
+    head = ["`--theory`", "label", "what it is", "time per state", "also computes", "use it for"]
+    return markdown(head, *(
+        [f"`{one.name}`", one.label, one.meaning,
+         f"{1e3 * one.seconds:g} ms" if one.seconds < 1.0 else f"{one.seconds:g} s",
+         ", ".join(one.answers), one.use]
+        for one in MODELS.values()
+    ))  # fmt: skip
+
+
+MADE = {"keys": keys, "help": help_text, "datasets": datasets, "theories": theories}
+
+
+def main() -> None:
+    """Write the generated parts of all pages anew where they differ."""
+    for path in pages():
+        text = filled(path)
+        if text != path.read_text(encoding="utf-8"):
+            path.write_text(text, encoding="utf-8")
+            print(f"{path.relative_to(ROOT)}: its generated part was written anew")
+
+
+if __name__ == "__main__":
+    main()

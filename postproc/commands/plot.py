@@ -10,7 +10,7 @@ curves          polarised current against T/N, or another key, and against chi (
 characteristic  voltage ln(n2/n1) and power against the net current over a scan, as of w'
 lifetimes       lifetimes of both states against N, from series that begin in them
 one_channel     maps of chi over l, w, r and T without channel 2 (a scan over two of them each)
-scene           the table to scale with the particles of a snapshot
+scene           the table of one point to scale with the particles of a snapshot
 circuit, urn    the table with its lengths named, no file or one with a snapshot (model, app1)
 urn_current, urn_difference, urn_scaled
                 current of the single urn against T/N, its relative difference from theory, both
@@ -116,6 +116,8 @@ def _drawn(name: str, found: list[Points], given: argparse.Namespace) -> Figure:
     draw, points = FIGURES[name], found[0]
     words = signature(draw).parameters
     more: dict[str, object] = {}
+    if name == "scene" and not given.point:
+        points.need_only()
     if given.theory and "models" in words:
         more["models"] = asked(points, given.theory)
     if "task" in words:

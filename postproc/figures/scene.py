@@ -144,47 +144,51 @@ def draw_scatterers(axes: Axes, circuit: Circuit) -> None:
                 disc.set_in_layout(False)  # the layout would ignore its clip path
 
 
-def _colours(circuit: Circuit, snapshot: Snapshot) -> tuple[NDArray[np.str_], NDArray[np.bool_]]:
-    """Return the colour of each particle, and whether it is counted by a gate."""
-    counted = counted_by(circuit, snapshot)
-    next_one = next_gate(circuit, snapshot)
-    colour = np.where(snapshot.x < 0.0, style.SKY, style.GREEN)
-    colour = np.where(counted > 0, style.ORANGE, colour)
-    return np.where((counted > 0) & (counted == next_one), style.VERMILION, colour), counted > 0
+def _kinds(circuit: Circuit, snapshot: Snapshot) -> list[tuple[NDArray[np.bool_], str, str, bool]]:
+    """Return which particles are of a kind, its colour and name, and whether a gate counts them."""
+    gate, left = counted_by(circuit, snapshot), snapshot.x < 0.0
+    free, nearer = gate == 0, (gate > 0) & (gate == next_gate(circuit, snapshot))
+    kinds = [
+        (free & left, style.SKY, "half 1", False),
+        (free & ~left, style.GREEN, "half 2", False),
+        (~free & ~nearer, style.ORANGE, "counted: heads for the other gate", True),
+        (nearer, style.VERMILION, "counted, in the gate nearer to a reversal", True),
+    ]
+    return [kind for kind in kinds if kind[2] != "half 2" or circuit.shape == "circuit"]
 
 
 def draw_particles(
     axes: Axes, circuit: Circuit, snapshot: Snapshot, size: float = 3.0
 ) -> list[PathCollection]:
-    """Draw the particles as dots, the counted ones larger and ringed; return both."""
-    colour, counted = _colours(circuit, snapshot)
-    x, y = snapshot.x, snapshot.y
-    free = axes.scatter(x[~counted], y[~counted], s=size, c=colour[~counted], lw=0, zorder=3)
-    ringed = axes.scatter(
-        x[counted], y[counted], s=4 * size, c=colour[counted], ec=style.BLACK, lw=0.4, zorder=4
-    )
-    return [free, ringed]
+    """Draw the particles as dots, the counted ones larger and ringed.
+
+    Return a collection for each kind of particles, with its label.
+    """
+    return [
+        axes.scatter(
+            snapshot.x[which], snapshot.y[which], s=4 * size if counted else size, c=colour,
+            label=label, ec=style.BLACK if counted else "none", lw=0.4, zorder=3 + counted,
+        )
+        for which, colour, label, counted in _kinds(circuit, snapshot)
+    ]  # fmt: skip
 
 
 def _draw_channel(axes: Axes, circuit: Circuit, snapshot: Snapshot) -> None:
     """Draw channel 1 enlarged, with the velocities as arrows."""
     draw_table(axes, circuit)
     draw_particles(axes, circuit, snapshot, size=9.0)
-    colour, _ = _colours(circuit, snapshot)
     reach, half1 = 0.5 * circuit.channel1_length, 0.5 * circuit.channel1_width
     near = (np.abs(snapshot.x) <= 1.25 * reach) & (np.abs(snapshot.y) <= 1.5 * half1)
-    axes.quiver(
-        snapshot.x[near],
-        snapshot.y[near],
-        snapshot.ux[near],
-        snapshot.uy[near],
-        color=colour[near],
-        angles="xy",
-        scale_units="xy",
-        scale=1.0 / (0.07 * circuit.channel1_length),
-        width=0.0022,
-        zorder=3,
-    )
+    for which, colour, _, _ in _kinds(circuit, snapshot):
+        axes.quiver(
+            *(one[near & which] for one in (snapshot.x, snapshot.y, snapshot.ux, snapshot.uy)),
+            color=colour,
+            angles="xy",
+            scale_units="xy",
+            scale=1.0 / (0.07 * circuit.channel1_length),
+            width=0.0022,
+            zorder=3,
+        )
     axes.set_xlim(-1.25 * reach, (1.25 if circuit.shape == "circuit" else 0.05) * reach)
     axes.set_ylim(-1.6 * half1, 1.6 * half1)
 
@@ -195,24 +199,6 @@ def _count_text(circuit: Circuit, snapshot: Snapshot) -> list[str]:
         f"gate {gate}: {np.count_nonzero(counted == gate)} counted, $T = {side.threshold}$"
         for gate, (_, side) in enumerate(ways(circuit), start=1)
     ]
-
-
-def _legend(made: Figure, circuit: Circuit) -> None:
-    looks = [(style.SKY, "half 1", False)]
-    if circuit.shape == "circuit":
-        looks.append((style.GREEN, "half 2", False))
-    looks += [
-        (style.ORANGE, "counted: heads for the other gate", True),
-        (style.VERMILION, "counted, in the gate nearer to a reversal", True),
-    ]
-    handles = [
-        made.axes[0].scatter([], [], s=22 if ring else 10, c=colour, label=label)
-        for colour, label, ring in looks
-    ]
-    for handle, (_, _, ring) in zip(handles, looks, strict=True):
-        handle.set_edgecolor(style.BLACK if ring else "none")
-        handle.set_linewidth(0.4)
-    made.legend(handles=handles, loc="outside lower center", ncols=4, handletextpad=0.2)
 
 
 def figure_scene(points: Points, task: tuple[int, int], snapshot: int = -1) -> Figure:
@@ -238,5 +224,7 @@ def picture_of(circuit: Circuit, snapshot: Snapshot) -> Figure:
     texts = _count_text(circuit, snapshot)
     for text, where in zip(texts, ("left", "right"), strict=False):
         channel.set_title(text, loc=where, fontsize=8)
-    _legend(made, circuit)
+    handles, labels = whole.get_legend_handles_labels()
+    look = {"ncols": 4, "handletextpad": 0.2, "markerscale": 1.4}
+    made.legend(handles, labels, loc="outside lower center", **look)
     return made

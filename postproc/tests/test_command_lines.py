@@ -6,6 +6,7 @@ import os
 import subprocess
 import sys
 from pathlib import Path
+from typing import TextIO
 
 import pytest
 
@@ -159,13 +160,23 @@ def test_unusual_circuits_have_an_answer(
 @pytest.mark.parametrize("words", [["--number=100", "--threshold=3"], ["--help"]])
 def test_output_on_a_full_device(words: list[str]) -> None:
     with Path("/dev/full").open("w", encoding="utf-8") as full:
-        ended = subprocess.run(
-            [sys.executable, "-m", "postproc", "theory", *words],
-            cwd=ROOT,
-            stdout=full,
-            stderr=subprocess.PIPE,
-            text=True,
-            check=False,
-            timeout=120,
-        )
+        ended = theory_to(full, words)
     assert (ended.returncode, ended.stderr) == (2, "error: No space left on device\n")
+
+
+@pytest.mark.parametrize("words", [["--number=100", "--threshold=3"], ["--help"]])
+def test_a_reader_that_has_enough_is_no_error(words: list[str]) -> None:
+    """As of `| head`: nothing is said, and the exit is that of a program that SIGPIPE ended."""
+    reading, writing = os.pipe()
+    os.close(reading)
+    with os.fdopen(writing, "w", encoding="utf-8") as pipe:
+        ended = theory_to(pipe, words)
+    assert (ended.returncode, ended.stderr) == (141, "")
+
+
+def theory_to(output: TextIO, words: list[str]) -> subprocess.CompletedProcess[str]:
+    """Run the command `theory` with its output to a file."""
+    return subprocess.run(
+        [sys.executable, "-m", "postproc", "theory", *words], cwd=ROOT, stdout=output,
+        stderr=subprocess.PIPE, text=True, check=False, timeout=120,
+    )  # fmt: skip

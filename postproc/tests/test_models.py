@@ -16,7 +16,7 @@ from postproc.figures.theories import add_models
 from postproc.tests.commands import call
 from postproc.theory.circuit import Circuit
 from postproc.theory.model import Model
-from postproc.theory.models import MODELS, defaults, guide
+from postproc.theory.models import MODELS, defaults
 from postproc.theory.outlines import regular
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -51,7 +51,6 @@ def test_a_theory_that_is_added_to_the_list_is_known_everywhere(
     found = advice.Pilot(0.9, 0.009, 0.0, 1000.0, 2000.0, 1.0, 0.05)
     advice.advise(advice.table_of(circuit), circuit, "chi", 0.02, found)
     assert asked == list(MODELS)
-    assert any("| the twin |" in line for line in guide())
 
 
 def test_no_other_module_lists_theories() -> None:
@@ -66,11 +65,6 @@ def test_no_other_module_lists_theories() -> None:
                 texts = {one.value for one in ast.walk(node) if isinstance(one, ast.Constant)}
                 most = max(len(texts & names) for names in known)
                 assert most < 3, f"{path}:{node.lineno} lists theories"
-
-
-def test_the_page_tells_which_to_use_when() -> None:
-    text = (ROOT / "docs/theory.md").read_text(encoding="utf-8")
-    assert "\n".join(guide()) in text
 
 
 def test_each_theory_looks_and_is_called_unlike_the_others() -> None:

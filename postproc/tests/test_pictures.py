@@ -124,13 +124,19 @@ def test_scene_shows_every_particle_and_counts_those_in_the_gates(run_file: Path
     for gate, place in ((1, "left"), (2, "right")):
         number = np.count_nonzero(counted == gate)
         assert channel.get_title(place) == f"gate {gate}: {number} counted, $T = 7$"
-    free, ringed = (part.get_offsets().data for part in whole.collections[:2])
-    assert len(ringed) == np.count_nonzero(counted) > 0
-    drawn = np.concatenate([free, ringed])
+    *free, orange, red = (part.get_offsets().data for part in whole.collections[:4])
+    assert len(orange) + len(red) == np.count_nonzero(counted) > 0
+    assert [len(part) for part in free] == [
+        np.count_nonzero((counted == 0) & (snapshot.x < 0.0)),
+        np.count_nonzero((counted == 0) & (snapshot.x > 0.0)),
+    ]
+    drawn = np.concatenate([*free, orange, red])
     particles = np.column_stack([snapshot.x, snapshot.y])
     assert drawn[np.lexsort(drawn.T)] == pytest.approx(particles[np.lexsort(particles.T)])
     assert channel.get_xlim() == pytest.approx((-0.625, 0.625))
-    assert len(made.legends[0].get_texts()) == 4
+    named = [text.get_text() for text in made.legends[0].get_texts()]
+    assert named == [part.get_label() for part in whole.collections[:4]]
+    assert "half 1" in named
 
 
 def _one_line(command: list[str], path: Path, capsys: pytest.CaptureFixture[str]) -> str:
@@ -287,7 +293,8 @@ def test_of_a_partial_run_a_task_that_is_done_is_drawn(
     assert results.task(2, None) == (1, 1)
     assert results.task(1, 2) == (0, 1)
     here = [str(path), "--output", str(tmp_path)]
-    for name in ("comp05", "comp06", "scene"):
+    assert call("plot", ["scene", *here, "--point", "2"]) == 0
+    for name in ("comp05", "comp06"):
         assert call("plot", [name, *here, "--theory", "window"]) == 0
         assert "partial run: 1 of 4 tasks" in capsys.readouterr().err
     assert call("film", [*here, "--seconds", "0.2"]) == 0

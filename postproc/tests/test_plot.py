@@ -21,6 +21,7 @@ from postproc import InputError, plot
 from postproc.figures import circuits, maps
 from postproc.reading import results_file
 from postproc.reporting import data as columns_of
+from postproc.tests.commands import call
 from postproc.tests.runs import BARE, edited, leave_out, points_of, results_of
 
 if TYPE_CHECKING:
@@ -68,7 +69,7 @@ def test_a_figure_is_drawn_into_axes_of_ones_own(
 
 
 def test_points_that_a_figure_cannot_show_are_named_with_a_way_to_choose(
-    folder: Path, tmp_path: Path
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """The way works, also where a fraction was scanned."""
     scan = {"threshold_fraction": [0.01, 0.02], "urn1_fraction": [0.5, 1.0], "threshold": None}
@@ -80,6 +81,10 @@ def test_points_that_a_figure_cannot_show_are_named_with_a_way_to_choose(
     for draw in (plot.flows, plot.scene):
         with pytest.raises(InputError, match=r"data.sel\(threshold=2\)"):
             draw(data, ax=Figure().add_subplot())
+    words = ["scene", str(folder / "map.h5"), "--output", str(tmp_path)]
+    assert call("plot", words) == 2
+    assert "--select threshold=2 or" in capsys.readouterr().err
+    assert call("plot", [*words, "--select", "threshold=2", "channel2_width=0.01"]) == 0
     with pytest.raises(InputError, match="no theory 'widow'"):
         plot.curves(data, ax=Figure().add_subplot(), theory="widow")
     for draw in (plot.phase_diagram, plot.curves, plot.relaxation):

@@ -79,11 +79,6 @@ def log_weights(log_up: Floats, log_down: Floats) -> Floats:
     return weights - np.log(np.exp(weights).sum())
 
 
-def stationary_distribution(circuit: Circuit) -> Floats:
-    """Return the probability of N2 = 0 ... N, shape (N + 1,)."""
-    return np.exp(log_weights(*log_rates(circuit)))
-
-
 def time_up(log_up: Floats, log_down: Floats, start: int, stop: int) -> float:
     """Return the mean time from state `start` to state `stop` > start of a chain closed at 0."""
     weights = log_weights(log_up, log_down)

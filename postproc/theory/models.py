@@ -96,18 +96,6 @@ def named(names: Iterable[str], circuits: Iterable[Circuit] = ()) -> tuple[Model
     return tuple(found)
 
 
-def guide() -> list[str]:
-    """Return the lines of a table of all theories and their use, in Markdown."""
-    lines = ["| `--theory` | label | what it is | time per state | also computes | use it for |",
-             "| --- | --- | --- | --- | --- | --- |"]  # fmt: skip
-    for one in MODELS.values():
-        seconds = f"{1e3 * one.seconds:g} ms" if one.seconds < 1.0 else f"{one.seconds:g} s"
-        cells = (f"`{one.name}`", one.label, one.meaning, seconds,
-                 ", ".join(one.answers), one.use)  # fmt: skip
-        lines.append(f"| {' | '.join(cells)} |")
-    return lines
-
-
 def ancestry(name: str) -> tuple[str, ...]:
     """Return a theory's name after those whose physics it contains, the simplest first."""
     before = MODELS[name].adds_to

@@ -13,7 +13,6 @@ from postproc.advice.advice import transition_between as transition
 from postproc.advice.model_errors import BATTERY
 from postproc.reading.grid import open_results
 from postproc.reading.points import Points
-from postproc.theory.circuit import eta
 from postproc.theory.direction import transfer
 from postproc.theory.models import MODELS
 from postproc.theory.ports import mean_stay
@@ -124,15 +123,6 @@ def theory_answers(model: Model) -> dict[str, Answer]:
     }
 
 
-def eta_seconds(circuit: Circuit = BATTERY, calls: int = 200) -> float:
-    """Return the time to compute one value of eta, in s."""
-    eta(circuit, 900.0)
-    began = time.process_time()
-    for _ in range(calls):
-        eta(circuit, 900.0)
-    return (time.process_time() - began) / calls
-
-
 def battery_answers(path: Path) -> dict[str, Answer]:
     """Return chi and net current of a file with one point; errors from its replicas alone."""
     results = Points(open_results(path))
@@ -146,15 +136,11 @@ def battery_answers(path: Path) -> dict[str, Answer]:
     return {name: Answer(*map(float, mean_of(value)), seconds) for name, value in values.items()}
 
 
-def transition_answer(path: Path) -> tuple[Answer, dict[str, list[float]]]:
-    """Return the transition of a file with a scan of T, and chi there."""
+def transition_answer(path: Path) -> Answer:
+    """Return the transition of a file with a scan of T."""
     results = Points(open_results(path))
-    threshold, chi = results.value("threshold"), results.value("chi")
     seconds = float(results.value("cpu_seconds").sum())
-    value, error = transition_of(threshold, chi)
-    spread = chi.std(axis=1, ddof=1) / math.sqrt(chi.shape[1])
-    shown = {"threshold": threshold, "chi": chi.mean(axis=1), "chi_error": spread}
-    return Answer(value, error, seconds), {name: list(one) for name, one in shown.items()}
+    return Answer(*transition_of(results.value("threshold"), results.value("chi")), seconds)
 
 
 def shares(chi: Floats, current: Floats) -> tuple[Floats, ...]:
@@ -191,10 +177,10 @@ def seconds_per_time(path: Path) -> float:
     return float(results.value("cpu_seconds").sum() / results.value("time").sum())
 
 
-def run_rung(study: Study, rung: Rung, seconds: float) -> tuple[dict[str, Answer], dict, float]:
+def run_rung(study: Study, rung: Rung, seconds: float) -> tuple[dict[str, Answer], float]:
     """Run the battery and the transition, each for that much CPU time.
 
-    Returns the answers, chi across the transition, and the CPU time per unit of time at T = 7.
+    Returns the answers, and the CPU time per unit of time at T = 7.
     """
     length = max(SHORTEST, seconds / (rung.seconds * REPLICAS))
     changes = {"run": {**engine_keys(rung), "duration": float(f"{length:.2g}")}}
@@ -206,5 +192,5 @@ def run_rung(study: Study, rung: Rung, seconds: float) -> tuple[dict[str, Answer
         "scan": {"threshold": list(SCANNED)},
     }
     path = study.run("transition", f"transition_{stem(rung)}", changes)
-    answers["transition"], chi = transition_answer(path)
-    return answers, chi, seconds_per_time(battery)
+    answers["transition"] = transition_answer(path)
+    return answers, seconds_per_time(battery)

@@ -61,7 +61,7 @@ def reference(study: Study) -> dict[str, Answer]:
     changes = {"run": {"duration": study.pick(2.0e5, 2.0e6)}, "scan": {"replicas": 16}}
     changes["particles"] = {"seed": 77}  # so that it is independent of the rung
     path = study.run("transition", "transition_reference", changes)
-    found["transition"], _ = ladder.transition_answer(path)
+    found["transition"] = ladder.transition_answer(path)
     return found
 
 
@@ -156,10 +156,8 @@ def run(study: Study) -> None:
         row(model.name, "theory", ladder.theory_answers(model), truth)
         for model in ladder.theories()
     ]
-    spreads = {}
     for rung in (*ladder.RUNGS, *(ladder.LONGER if study.full else ())):
-        answers, chi, per_time = ladder.run_rung(study, rung, study.pick(10.0, 200.0))
-        spreads[rung.name] = chi
+        answers, per_time = ladder.run_rung(study, rung, study.pick(10.0, 200.0))
         line = row(rung.name, "exact" if rung.exact else "model", answers, truth)
         if rung.exact:
             line["lack"] = lacking(answers["current"].seconds, per_time, truth["chi"].value)
@@ -167,7 +165,7 @@ def run(study: Study) -> None:
     numbers = {
         "reference": {name: vars(one) for name, one in truth.items()}, "rows": rows,
         "reference_time": total_time(long_runs(study)),
-        "spreads": spreads, "eta_seconds": ladder.eta_seconds(), "averages": averages(study),
+        "averages": averages(study),
     }  # fmt: skip
     study.keep("observables", numbers)
     tables(study, rows, numbers["averages"])

@@ -198,22 +198,6 @@ def tables(study: Study, rows: Sequence[Row], visits: Sequence[Row]) -> None:
     ])  # fmt: skip
 
 
-def summary(answers: dict[tuple[str, str], Answer]) -> dict[str, Any]:
-    """Return the sums that must be zero, by engine, and the number of trapped particles."""
-    made: dict[str, Any] = {}
-    for (engine, precision), answer in answers.items():
-        made[f"{engine} {precision}"] = {
-            "cases": len(answer),
-            "lost": sum(line["lost"] for line in answer),
-            "not_a_number": sum(line["not_a_number"] for line in answer),
-            "greatest_speed_error": max(float(line["speed_error"]) for line in answer),
-            "trapped": sum(line["trapped"] for line in answer),
-            "stopped": sum(line["ended"].strip() == "stopped" for line in answer),
-            "hits": pick(answer, "long run")[0]["hits"],
-        }
-    return made
-
-
 def figure_visits(rows: Sequence[Row]) -> Figure:
     """Draw the errors of single visits over their condition number, in units of the precision."""
     made = style.figure(style.COLUMN * 1.4, 3.0)
@@ -250,7 +234,7 @@ def run(study: Study) -> None:
     answers = dict(zip(pairs, ask(study, questions), strict=True))
     rows = table(answers)
     compared.sort(key=lambda row: BITS[row["input"]])
-    numbers = {"table": rows, "summary": summary(answers), "visits": compared}
+    numbers = {"table": rows, "visits": compared}
     study.keep("stability", numbers)
     tables(study, rows, compared)
     seen = [row for row in compared if row["same"] > row["visits"] / 2]

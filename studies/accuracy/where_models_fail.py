@@ -67,25 +67,12 @@ def of_runs(file: Path) -> list[Points]:
             for both in ((chi, share), errors)]  # fmt: skip
 
 
-def theory_at(work: Study, model: str, points: list[tuple[int, float]]) -> Points:
-    """Return a theory's results at points; earlier results at the same points are used."""
-    before = work.kept(f"theory_{model}")
-    if before is None or work.afresh or before["points"] != [list(one) for one in points]:
-        found = of_theory(model, points)
-        before = {"points": [list(one) for one in points], "said": [*found.values()]}
-        work.keep(f"theory_{model}", before)
-        return found
-    return {at: (chi, math.nan if share is None else share)
-            for at, (chi, share) in zip(points, before["said"], strict=True)}  # fmt: skip
-
-
 def of_theory(model: str, points: list[tuple[int, float]]) -> Points:
     """Return chi and current over chi of the most polarised stable state; chi 0: there is none."""
     found = {}
     for at in points:
         circuit = replace(ladder.BATTERY, threshold=at[0], channel2_width=at[1])
-        stable = MODELS[model].solve_stable(circuit)
-        state = max(stable, key=lambda one: one.mass_spread, default=None)
+        state = MODELS[model].stable_state(circuit)
         chi, current = (state.mass_spread, state.net_current) if state else (0.0, 0.0)
         found[at] = chi, abs(current) / chi if chi > 0.0 else math.nan
     return found
@@ -186,7 +173,7 @@ def table(rows: list[dict[str, float | str]]) -> list[str]:
 def run(work: Study) -> None:
     """Make the table and the picture of the page; print the numbers of points within bounds."""
     truth, errors = of_runs(run_map(work))
-    answers = {name: theory_at(work, name, [*truth]) for name in ladder.THEORIES}
+    answers = {name: of_theory(name, [*truth]) for name in ladder.THEORIES}
     answers |= {name: of_runs(run_map(work, name))[0] for name in LENGTHS}
     rows = rows_of(truth, errors, answers)
     work.rows("where_models_fail", rows)

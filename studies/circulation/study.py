@@ -20,9 +20,14 @@ from postproc.theory import circulation, direction, fate, ports, two_port
 from postproc.theory.circuit import Circuit
 from postproc.theory.models import MODELS
 from studies.common import study
-from studies.common.circulations import TRANSIENT, circulations, steepest, straight_time
+from studies.common.circulations import (
+    TRANSIENT,
+    circulations,
+    numbers_in_time,
+    steepest,
+    straight_time,
+)
 from studies.common.event_log import (
-    CROSSING1,
     CROSSING2,
     ENTRY,
     circuit_of,
@@ -94,11 +99,7 @@ def state_of(circuit: Circuit, model: str = "two_port") -> State:
 
 def spread_of(log: Log, at_start: int, end: float) -> tuple[float, float]:
     """Return mean and variance in time of the number in half 1, of which `at_start` began there."""
-    crossed = (log.kind == CROSSING1) | (log.kind == CROSSING2)
-    time = np.clip(log.time[crossed], TRANSIENT, end)
-    number = at_start - np.cumsum(np.where(log.where[crossed] == 12, 1, -1))
-    number = np.concatenate([[at_start], number])
-    lasting = np.diff(np.concatenate([[TRANSIENT], time, [end]]))
+    number, lasting = numbers_in_time(log, at_start, end, 21)
     mean = float(number @ lasting) / lasting.sum()
     return mean, float((number - mean) ** 2 @ lasting) / lasting.sum()
 

@@ -82,6 +82,19 @@ def circulations(events: ParticleEvents, circuit: Circuit) -> Circulations:
     return Circulations(*(column[order] for column in columns), rounds)
 
 
+def numbers_in_time(
+    log: Log, at_start: int, end: float, added_by: int
+) -> tuple[NDArray[np.int64], Floats]:
+    """Return the numbers in a half of the table after the transient, and how long each lasts.
+
+    `at_start` began in it; crossings in the direction `added_by`, 12 or 21, add one.
+    """
+    crossed = (log.kind == CROSSING1) | (log.kind == CROSSING2)
+    change = np.where(log.where[crossed] == added_by, 1, -1)
+    edges = np.concatenate([[TRANSIENT], np.clip(log.time[crossed], TRANSIENT, end), [end]])
+    return at_start + np.concatenate([[0], np.cumsum(change)]), np.diff(edges)
+
+
 def urn_numbers(
     log: Log, events: ParticleEvents, circuit: Circuit, at_start: int, end: float
 ) -> tuple[float, float]:
@@ -89,12 +102,9 @@ def urn_numbers(
 
     `at_start` is the number that began in half 2.
     """
-    crossed = (log.kind == CROSSING1) | (log.kind == CROSSING2)
-    time = np.clip(log.time[crossed], TRANSIENT, end)
-    number = at_start + np.cumsum(np.where(log.where[crossed] == 12, 1, -1))
-    edges = np.concatenate([[TRANSIENT], time, [end]])
+    number, lasting = numbers_in_time(log, at_start, end, 12)
     duration = end - TRANSIENT
-    half = np.concatenate([[at_start], number]) @ np.diff(edges) / duration
+    half = number @ lasting / duration
     through2 = np.count_nonzero((events.kind == CROSSING2) & (events.time > TRANSIENT))
     returning = through2 * 0.25 * math.pi * circuit.channel2_length
     gate, start, stop = outward_stays(events)

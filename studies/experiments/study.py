@@ -56,14 +56,6 @@ SIZED_T = (7, 10, 13)
 TURNS = ((0.01, 1.0), (0.02, 1.0), (0.01, 0.25), (0.01, 4.0))  # w', l'
 TRANSIENTS = (500.0, 5000.0)
 SLOW = 3000.0  # assumed relaxation time of chi near the upper transition, which was refuted
-TITLES = {
-    1: "Directions last from visit to visit",
-    2: "An urn remembers the opening of entry",
-    3: "The memory is not weaker in larger urns",
-    4: "Particles on the axis stay on it",
-    5: "The transient near the upper transition",
-}
-CLOSE = 3.0  # standard errors within which a prediction counts as confirmed
 HALFWAY = 0.3  # chi at the transition, between integer T on a straight line
 
 
@@ -283,21 +275,6 @@ def transients(work: study.Study) -> list[Row]:
     return [Row(5, what, 0.0, predicted, one - other, math.hypot(its, other_error))]
 
 
-def verdict(rows: Sequence[dict]) -> list[str]:
-    """Return a line for each experiment: how many predictions hold, and the largest deviation."""
-    lines = []
-    for one, title in TITLES.items():
-        mine = [row for row in rows if row["experiment"] == one and row["predicted"] is not None]
-        off = [(row["measured"] - row["predicted"]) / row["error"] for row in mine]
-        met = sum(abs(value) < CLOSE for value in off)
-        worst = max(off, key=abs)
-        lines.append(
-            f"{one}. {title}: {met} of {len(mine)} numbers within {CLOSE:g} standard errors, "
-            f"the worst off by {worst:+.1f}."
-        )
-    return lines
-
-
 def tables(work: study.Study, rows: Sequence[dict]) -> None:
     """Write a table of each experiment."""
     for one in range(1, 6):
@@ -335,7 +312,6 @@ def run(work: study.Study) -> None:
     }  # fmt: skip
     stored = json.loads(work.keep("experiments", numbers).read_text(encoding="utf-8"))
     tables(work, stored["rows"])
-    print(*verdict(stored["rows"]), sep="\n")
     work.draw(picture.figure(stored), "experiments")
 
 

@@ -105,19 +105,6 @@ def test_program_returns_less_than_chance_has_it(tmp_path: Path) -> None:
     assert abs(stay.off) < 5.0
 
 
-def test_verdict_counts_what_is_met() -> None:
-    rows = [
-        {"experiment": one, "what": "x", "mixed": None, "predicted": 1.0, "measured": 1.0 + off,
-         "error": 0.1}
-        for one in experiments.TITLES for off in (0.1, -0.5)
-    ]  # fmt: skip
-    rows.append({**rows[0], "predicted": None})
-    lines = experiments.verdict(rows)
-    assert len(lines) == 5
-    assert all("1 of 2 numbers within 3 standard errors" in line for line in lines)
-    assert all(line.endswith("the worst off by -5.0.") for line in lines)
-
-
 def test_predictions_on_the_page_are_those_of_the_present_theory() -> None:
     """They need no run: return probability, and conductance at the measured chi."""
     rows = json.loads((HERE / "experiments.json").read_text())["rows"]

@@ -1,14 +1,11 @@
-"""Benchmarks: tables of the speed, required figures, and changes.
+"""Benchmarks: tables of the speed, and required figures.
 
 `run` (`make bench`) lets build/bin/bench measure its tables, takes the peak memory of a run of 1e7
 particles, counts instructions where valgrind is installed, prints the figures beside their bounds
 and writes everything as JSON in build/bench. All times are taken by the Fortran program itself,
 processor time.
-`compare OLD.json NEW.json` prints the ratio of each figure of two such files with its spread: from
-the least of one file's rounds over the greatest of the other's to the reverse. Ranges that exclude
-1 are marked. Rounds of one run share the state of the machine: between two runs of the same program
-on a shared machine all rates may change by the same factor, costs relative to a row of the same run
-do not.
+Rounds of one run share the state of the machine: between two runs of the same program on a shared
+machine all rates may change by the same factor, costs relative to a row of the same run do not.
 `ratios BASE` (`make bench BASE=COMMIT`) runs another build of `bench` and the present one in turn,
 and prints how many times as fast the present one is, in processor time.
 """
@@ -25,30 +22,15 @@ from postproc import cli
 from studies.common import study
 from studies.common.study import ROOT
 from studies.speed.benchmarks import run
-from studies.speed.changes import changes, load, table_of
-from studies.speed.ratios import POINTS, ROUNDS, ratio
-from studies.speed.ratios import table_of as table_of_ratios
+from studies.speed.ratios import POINTS, ROUNDS, ratio, table_of
 
 BENCH = ROOT / "build/bench"
 
 
-def compare(old: Path, new: Path, console: Console) -> None:
-    """Print the changes between two files."""
-    before, after = load(old), load(new)
-    found = changes(before, after)
-    for name, one in (("old", before), ("new", after)):
-        about = (str(one.about.get(key, "unknown")) for key in ("date", "processor", "commit"))
-        console.print(f"{name}: {', '.join(about)}", soft_wrap=True, highlight=False, markup=False)
-    for title, part in found:
-        console.print(table_of(title, part))
-    marked = sum(bool(one.mark) for _, part in found for one in part)
-    console.print(f"{marked} of {sum(len(part) for _, part in found)} changed beyond the spread.")
-
-
 def main(arguments: list[str] | None = None) -> int:
-    """Run the benchmarks, or compare some runs."""
+    """Run the benchmarks, or compare two programs."""
     options = study.parser(__file__, __doc__)
-    parts = options.add_subparsers(dest="part", required=True, metavar="run|compare|ratios")
+    parts = options.add_subparsers(dest="part", required=True, metavar="run|ratios")
     runs = parts.add_parser("run", help="run all benchmarks")
     runs.add_argument("--program", type=Path, default=ROOT / "build/bin/bench")
     runs.add_argument(
@@ -58,8 +40,6 @@ def main(arguments: list[str] | None = None) -> int:
     runs.add_argument(
         "--output", metavar="FILE.json", type=Path, help="default: build/bench/DATE-TIME.json"
     )
-    some = parts.add_parser("compare", help="compare two files of run")
-    some.add_argument("files", metavar="FILE.json", type=Path, nargs=2)
     pairs = parts.add_parser("ratios", help="run another build and the present one in turn")
     pairs.add_argument("base", metavar="BASE", type=Path, help="the other program `bench`")
     pairs.add_argument("--program", type=Path, default=ROOT / "build/bin/bench")
@@ -69,11 +49,9 @@ def main(arguments: list[str] | None = None) -> int:
     if given.part == "run":
         now = f"{datetime.datetime.now(datetime.UTC):%Y-%m-%d-%H%M%S}.json"
         run(given.program, given.counted, given.output or BENCH / now, console)
-    elif given.part == "ratios":
-        found = [ratio(name, given.base, given.program, given.rounds) for name in POINTS]
-        console.print(table_of_ratios(found))
     else:
-        compare(*given.files, console)
+        found = [ratio(name, given.base, given.program, given.rounds) for name in POINTS]
+        console.print(table_of(found))
     return 0
 
 

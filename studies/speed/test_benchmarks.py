@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import stat
 import sys
 from pathlib import Path
@@ -11,10 +10,8 @@ from typing import Any
 import pytest
 from rich.console import Console
 
-from postproc import cli
-from studies.speed import benchmarks, ratios, study
-from studies.speed.bounds import FORMAT, Figure, Rows, figures
-from studies.speed.changes import change
+from studies.speed import benchmarks, ratios
+from studies.speed.bounds import Figure, Rows, figures
 
 # rounds of a machine whose speed drifts
 DRIFT = (1.0, 0.8, 0.9, 1.1, 0.7)
@@ -51,17 +48,6 @@ def _rows() -> list[dict[str, Any]]:
     ]
 
 
-def _file(path: Path, faster: float = 1.0, **changed: Any) -> Path:
-    rows = _rows()
-    for row in rows[:1]:
-        for name in ("collisions_per_second", "visits_per_second", "particle_time_per_second"):
-            row[name] = [faster * value for value in row[name]]
-    found = figures(Rows(rows), [95.0], [21.0])
-    about = {"format": FORMAT, "rows": rows, "figures": [vars(one) for one in found]}
-    path.write_text(json.dumps(about | changed))
-    return path
-
-
 def _by_name(found: list[Figure]) -> dict[str, Figure]:
     return {one.name: one for one in found}
 
@@ -78,34 +64,6 @@ def test_figures_are_ratios_of_the_rounds_in_one_run() -> None:
     assert found["time unit and particle, 1e6 over 1e3"].values == pytest.approx([1.5] * 5)
     # 625 points of half a second and three halves a point, in the round without drift
     assert found["half the map, minutes"].values[0] == pytest.approx(625 * 1.0 / 60.0)
-
-
-@pytest.mark.parametrize(
-    ("new", "mark"),
-    [((2.0, 2.1), "better"), ((0.5, 0.6), "worse"), ((0.9, 1.3), ""), ((1.1, 1.4), "")],
-)
-def test_only_what_is_beyond_the_spread_is_marked(new: tuple[float, ...], mark: str) -> None:
-    assert change("rate", (1.0, 1.2), new, more_is_better=True).mark == mark
-    other = {"better": "worse", "worse": "better", "": ""}[mark]
-    assert change("cost", (1.0, 1.2), new, more_is_better=False).mark == other
-
-
-def test_compare_prints_ratios_and_marks(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    old, new = _file(tmp_path / "old.json"), _file(tmp_path / "new.json", faster=2.0)
-    assert cli.run(study.main, ["compare", str(old), str(new)]) == 0
-    text = capsys.readouterr().out
-    assert max(map(len, text.splitlines())) <= 100
-    lines = {line.split("  ")[0].strip(): line for line in text.splitlines() if "  " in line}
-    assert "2.000" in lines["ratio to synchronous"]
-    assert "better" in lines["ratio to synchronous"]
-    assert "1.000" in lines["bytes a particle, N = 1e7"]
-    # what drifts by more than the doubling: not beyond the spread of 1.1/0.7, so marked
-    assert "better" in lines["wall collisions a second, excursion"]
-    # the others became dearer over the first row, which became faster
-    assert text.count("worse") == 2
-    assert "changed beyond the spread" in text
 
 
 def _program(path: Path, text: str) -> Path:

@@ -49,6 +49,18 @@ def namelist(**groups: dict[str, Any]) -> str:
     return "\n".join(lines) + "\n"
 
 
+def write_case(case: dict[str, dict[str, Any]], folder: Path, **changes: dict[str, Any]) -> Path:
+    """Write case.nml into a folder, some keys changed; those that are None are left out."""
+    folder.mkdir(exist_ok=True)
+    groups = {name: {**case.get(name, {}), **changes.get(name, {})} for name in {**case, **changes}}
+    path = folder / "case.nml"
+    path.write_text(namelist(**{
+        name: {key: value for key, value in keys.items() if value is not None}
+        for name, keys in groups.items()
+    }))  # fmt: skip
+    return path
+
+
 def command_of(*arguments: str, ranks: int = 0) -> list[str]:
     """Give the command; without ranks there is no mpirun."""
     launcher = [MPIRUN, "-n", str(ranks)] if ranks else []
