@@ -6,7 +6,7 @@ module battery_plan_report
   use battery_engine, only: particles_type
   use battery_error, only: error_type
   use battery_json_report, only: write_plan_json
-  use battery_memory_estimate, only: estimate_type, estimate_of, every_rank
+  use battery_memory_estimate, only: estimate_type, every_rank
   use battery_available_memory, only: size_text
   use battery_journal, only: journal_type
   use battery_merge, only: sources_type, close_sources
@@ -29,17 +29,17 @@ module battery_plan_report
 
 contains
 
-  !> Prints the plan, and its time and memory on `ranks` ranks, `sharing` of which are on one
-  !> machine.
-  subroutine print_plan_report(plan, ranks, sharing, overwrite, json, error)
+  !> Prints the plan, and its time and memory on `ranks` ranks.
+  subroutine print_plan_report(plan, ranks, estimate, overwrite, json, error)
     type(plan_type), intent(in) :: plan
-    integer, intent(in) :: ranks, sharing
+    integer, intent(in) :: ranks
+    !> Memory that the plan needs.
+    type(estimate_type), intent(in) :: estimate
     !> Whether existing results would be discarded.
     logical, intent(in) :: overwrite
     !> JSON file for tasks, time and memory; empty: none.
     character(len=*), intent(in) :: json
     type(error_type), allocatable, intent(out) :: error
-    type(estimate_type) :: estimate
     type(journal_type) :: journal
     type(sources_type) :: sources
     type(progress_type) :: progress
@@ -57,7 +57,6 @@ contains
     end if
     if (allocated(error)) return
     if (message /= '') call print_line(message)
-    estimate = estimate_of(plan, sharing)
     call print_parameters(plan)
     remarks = remarks_of(plan)
     do at = 1, size(remarks)
