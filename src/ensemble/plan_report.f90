@@ -18,7 +18,7 @@ module battery_plan_report
   use battery_table, only: channel1, channel2
   use battery_tasks, only: task_type, task_count, task_of, initial_particles
   use battery_terminal, only: print_line
-  use battery_text, only: string_type, to_text, count_text, join
+  use battery_text, only: string_type, to_text, count_text, numbers_text
   implicit none (type, external)
   private
   public :: print_plan_report
@@ -177,15 +177,10 @@ contains
       real(wp), intent(in) :: values(:)
       character(len=:), allocatable :: text
       integer, parameter :: most = 25, first = 3
-      type(string_type) :: words(size(values))
-      integer :: k
 
-      do k = 1, size(values)
-        words(k)%text = to_text(values(k))
-      end do
-      text = join(words, ', ')
-      if (size(values) > most) text = join(words(:first), ', ')//' ... '//words(size(values))%text &
-        //' ('//to_text(size(values))//' values)'
+      text = numbers_text(values, ', ')
+      if (size(values) > most) text = numbers_text(values(:first), ', ')//' ... ' &
+        //to_text(values(size(values)))//' ('//to_text(size(values))//' values)'
     end function list_text
 
     !> Least and greatest value of one quantity.
@@ -244,8 +239,7 @@ contains
     type(simulation_type) :: simulation
     type(particles_type) :: particles
     integer :: tries, tried, k
-    integer(int64) :: before
-    real(dp) :: began, spent, elapsed, one_rate
+    real(dp) :: began, spent, collisions, share
 
     tries = min(most_tries, size(pending))
     tried = 0
@@ -259,24 +253,19 @@ contains
       if (.not. allocated(error)) call begin_simulation(simulation, task%setup, particles, error)
       if (allocated(error)) return
       began = cpu_seconds()
-      before = simulation%engine%collisions()
-      elapsed = real(simulation%elapsed, dp)
       do
         call advance_simulation(simulation)
-        spent = cpu_seconds() - began
+        spent = max(cpu_seconds() - began, 1.0e-9_dp)
         if (stop_requested()) call set_stop_error(error)
         if (allocated(error)) return
         if (spent > try_seconds .or. simulation%done) exit
       end do
       tried = tried + 1
-      one_rate = real(simulation%engine%collisions() - before, dp)/max(spent, 1.0e-9_dp)
-      rate = rate + one_rate
-      if (plan%duration > 0.0_wp) then
-        seconds = seconds + spent*real(plan%duration, dp)/max(real(simulation%elapsed, dp) &
-          - elapsed, tiny(1.0_dp))
-      else
-        seconds = seconds + real(plan%collisions, dp)/max(one_rate, 1.0e-9_dp)
-      end if
+      collisions = real(simulation%engine%collisions(), dp)
+      share = collisions/real(plan%collisions, dp)
+      if (plan%duration > 0.0_wp) share = real(simulation%elapsed/plan%duration, dp)
+      rate = rate + collisions/spent
+      seconds = seconds + spent/max(share, 1.0e-18_dp)
     end do
     seconds = seconds/max(tried, 1)
     rate = rate/max(tried, 1)
