@@ -8,7 +8,7 @@ program battery
   use battery_communicator, only: communicator_type, open_communicator, close_communicator, &
     share_error, ranks_on_node, wait_for_all
   use battery_ensemble, only: run_ensemble, set_time_limit
-  use battery_memory_estimate, only: check_estimate, check_memory_for_mpi
+  use battery_memory_estimate, only: estimate_type, estimate_memory, check_memory_for_mpi
   use battery_memory, only: spare_address_space
   use battery_plan_report, only: print_plan_report
   use battery_plan, only: plan_type
@@ -76,11 +76,9 @@ contains
   !> Reads the plan, and runs its ensemble or prints its report.
   subroutine run()
     type(plan_type) :: plan
-    !> Ranks on this node, which share its memory.
-    integer :: node_ranks
+    type(estimate_type) :: estimate
     character(len=:), allocatable :: message
 
-    node_ranks = ranks_on_node(communicator)
     call read_plan_once(command_line%file, communicator, plan, error)
     if (.not. allocated(error) .and. communicator%rank == 0) &
       call check_json_file(command_line%json, plan, error)
@@ -96,7 +94,7 @@ contains
       return
     end if
     call set_time_limit(plan)
-    call check_estimate(plan, node_ranks, error)
+    call estimate_memory(plan, ranks_on_node(communicator), estimate, error)
     call share_error(communicator, error)
     if (allocated(error)) return
     if (.not. command_line%check) then
@@ -105,8 +103,8 @@ contains
       if (communicator%rank == 0 .and. .not. allocated(error)) &
         call write_run_json(command_line%json, plan%file, error)
     else if (communicator%rank == 0) then
-      call print_plan_report(plan, communicator%size, node_ranks, &
-        command_line%overwrite, command_line%json, error)
+      call print_plan_report(plan, communicator%size, estimate, command_line%overwrite, &
+        command_line%json, error)
     end if
     call share_error(communicator, error)
   end subroutine run

@@ -64,7 +64,7 @@ def test_the_signal_that_mpirun_passes_on_loses_nothing(tmp_path: Path) -> None:
     assert "stopped early, the state is saved" in ended.stdout
     begun = len({path.stem for path in states})
     told = run("--check", "case.nml", folder=tmp_path).stdout
-    assert f", {begun} from a saved state\n" in told
+    assert f", {begun} begun and saved\n" in told
     assert "battery --partial FILE.nml writes it" in ended.stdout
     assert not (tmp_path / "out.h5").exists()
 

@@ -1,9 +1,10 @@
 !> Texts: numbers as texts, lists of words, printable characters.
 module battery_text
   use, intrinsic :: iso_fortran_env, only: int32, int64, real32, real64, real128
+  use battery_kinds, only: wp
   implicit none (type, external)
   private
-  public :: string_type, to_text, lower_case, join, lines_of, closest_word, is_one_of
+  public :: string_type, to_text, lower_case, join, numbers_text, lines_of, closest_word, is_one_of
   public :: new_line_character, printable, count_text
 
   character(len=1), parameter :: new_line_character = achar(10)
@@ -214,6 +215,21 @@ contains
       end if
     end do
   end function printable
+
+  !> Numbers as texts, with a separator between them.
+  pure function numbers_text(numbers, separator) result(text)
+    real(wp), intent(in) :: numbers(:)
+    !> Text between each two of them.
+    character(len=*), intent(in) :: separator
+    character(len=:), allocatable :: text
+    type(string_type) :: words(size(numbers))
+    integer :: k
+
+    do k = 1, size(numbers)
+      words(k)%text = to_text(numbers(k))
+    end do
+    text = join(words, separator)
+  end function numbers_text
 
   !> All texts of a list, with a separator between them.
   pure function join(list, separator) result(text)

@@ -14,7 +14,7 @@ module battery_communicator
   ! A compiler without the switches of fpm.rsp shows the next line, and stops.
   use mpi_f08, only: & ! type "fpm @release": "fpm build" alone has no switches (docs/install.md)
     MPI_Comm, MPI_Win, MPI_Request, MPI_COMM_WORLD, MPI_INFO_NULL, MPI_INTEGER8, MPI_INTEGER, &
-    MPI_CHARACTER, MPI_DOUBLE_PRECISION, MPI_SUM, MPI_MIN, MPI_MAX, &
+    MPI_CHARACTER, MPI_DOUBLE_PRECISION, MPI_SUM, MPI_MIN, &
     MPI_ADDRESS_KIND, MPI_MAX_LIBRARY_VERSION_STRING, MPI_Init, MPI_Initialized, MPI_Finalize, &
     MPI_Comm_rank, MPI_Comm_size, MPI_Comm_dup, MPI_Comm_free, MPI_Bcast, MPI_Barrier, &
     MPI_Ibarrier, MPI_Test, MPI_Allreduce, MPI_Win_allocate, MPI_Win_free, MPI_Win_lock_all, &
@@ -31,7 +31,7 @@ module battery_communicator
   private
   public :: communicator_type, open_communicator, close_communicator, share_error, share_text
   public :: ranks_on_node, output_is_terminal
-  public :: share_words, wait_for_all, sleep_until_all, least_mean_greatest, mpi_library
+  public :: share_words, wait_for_all, sleep_until_all, mean_over_ranks, mpi_library
   public :: task_queue_type, open_task_queue, close_task_queue, add_to_counter, read_counter
   public :: fetch_task, drive_mpi_progress, mpi_progress_interval
   public :: next_task, tasks_finished, tasks_failed, collisions_done, stop_wanted
@@ -192,18 +192,15 @@ contains
     if (length > 0 .and. terminal) terminal = parent_is_terminal(unknown=terminal)
   end function output_is_terminal
 
-  !> Least, mean and greatest of one value per rank. Collective.
-  function least_mean_greatest(communicator, value) result(summary)
+  !> Mean of one value per rank. Collective.
+  real(dp) function mean_over_ranks(communicator, value) result(mean)
     type(communicator_type), intent(in) :: communicator
     !> Value of this rank.
     real(dp), intent(in) :: value
-    real(dp) :: summary(3)
 
-    call MPI_Allreduce(value, summary(1), 1, MPI_DOUBLE_PRECISION, MPI_MIN, communicator%ranks)
-    call MPI_Allreduce(value, summary(2), 1, MPI_DOUBLE_PRECISION, MPI_SUM, communicator%ranks)
-    call MPI_Allreduce(value, summary(3), 1, MPI_DOUBLE_PRECISION, MPI_MAX, communicator%ranks)
-    summary(2) = summary(2)/real(communicator%size, dp)
-  end function least_mean_greatest
+    call MPI_Allreduce(value, mean, 1, MPI_DOUBLE_PRECISION, MPI_SUM, communicator%ranks)
+    mean = mean/real(communicator%size, dp)
+  end function mean_over_ranks
 
   !> Name and version of the MPI library: its description up to the first comma or line end, with
   !> blanks in place of tabs.

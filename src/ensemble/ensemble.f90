@@ -8,7 +8,7 @@ module battery_ensemble
   use battery_agreement, only: check_output_folder
   use battery_clocks, only: wall_seconds, utc_now
   use battery_communicator, only: communicator_type, task_queue_type, open_task_queue, &
-    close_task_queue, read_counter, share_error, share_text, least_mean_greatest, tasks_finished, &
+    close_task_queue, read_counter, share_error, share_text, mean_over_ranks, tasks_finished, &
     tasks_failed, collisions_done, sleep_until_all
   use battery_error, only: error_type, fatal_error, exit_success, exit_failure, exit_stopped_early
   use battery_journal, only: journal_type, check_lock, remove_journal
@@ -116,15 +116,15 @@ contains
     type(error_type), allocatable, intent(out) :: error
     type(results_type) :: results
     type(string_type), allocatable :: failures(:)
-    real(dp) :: busy(3), signalled(3)
+    !> Fraction of the time that ranks spent in tasks, and of ranks that have received a signal.
+    real(dp) :: busy, signalled
     logical :: all_done, stops
 
-    busy = least_mean_greatest(task_queue%communicator, &
+    busy = mean_over_ranks(task_queue%communicator, &
       busy_seconds/max(wall_seconds() - start_seconds, 1.0e-9_dp))
-    signalled = least_mean_greatest(task_queue%communicator, &
-      merge(1.0_dp, 0.0_dp, signal_received()))
+    signalled = mean_over_ranks(task_queue%communicator, merge(1.0_dp, 0.0_dp, signal_received()))
     all_done = read_counter(task_queue, tasks_finished) >= task_queue%tasks
-    stops = signalled(3) > 0.0_dp .and. .not. all_done
+    stops = signalled > 0.0_dp .and. .not. all_done
     exit_code = exit_success
     if (read_counter(task_queue, tasks_failed) > 0) exit_code = exit_failure
     if (.not. all_done) exit_code = exit_stopped_early

@@ -13,7 +13,7 @@ module battery_memory_estimate
   use battery_text, only: to_text, new_line_character
   implicit none (type, external)
   private
-  public :: estimate_type, estimate_of, every_rank, check_estimate, check_memory_for_mpi
+  public :: estimate_type, estimate_memory, every_rank, check_memory_for_mpi
 
   !> Address space that MPI needs while it starts: Open MPI 4.1 has large parts of 54 MB. With less,
   !> some versions crash.
@@ -38,45 +38,43 @@ module battery_memory_estimate
     !> Number of particles of the largest point, and of the largest that fits; number of points that
     !> do not fit.
     integer :: greatest = 0, number = 0, too_large = 0
-    !> Lines for the keys that ask for too much; empty if all fits.
-    character(len=:), allocatable :: problems
   end type estimate_type
 
 contains
 
-  !> Memory that a plan needs. A task that does not fit is a problem only if none of the plan does:
+  !> Memory that a plan needs. A task that does not fit is an error only if none of the plan does:
   !> else it fails when it begins.
-  function estimate_of(plan, sharing) result(estimate)
+  subroutine estimate_memory(plan, sharing, estimate, error)
     type(plan_type), intent(in) :: plan
     !> Ranks that share the machine's memory.
     integer, intent(in) :: sharing
-    type(estimate_type) :: estimate
+    type(estimate_type), intent(out) :: estimate
+    !> One task, or rank 0 at the end, does not fit, or has more numbers than default integers
+    !> count: a line for each key that asks for too much, code `exit_bad_input`.
+    type(error_type), allocatable, intent(out) :: error
     type(point_type) :: point
     type(table_type) :: table
     real(dp) :: bytes_each, particles, others, entries
-    integer :: least, at
+    integer, allocatable :: number(:)
+    integer :: at
 
     estimate%available = available_memory(sharing)
-    estimate%problems = ''
     bytes_each = bytes_per_particle(plan%engine, plan%urn_shape == 'polygon')
-    least = huge(1)
+    allocate (number(plan%point_count))
     do at = 1, plan%point_count
       point = point_of(plan, at)
-      least = min(least, point%number)
-      estimate%greatest = max(estimate%greatest, point%number)
-      if (fits(bytes_each*point%number)) then
-        estimate%number = max(estimate%number, point%number)
-      else
-        estimate%too_large = estimate%too_large + 1
-      end if
+      number(at) = point%number
     end do
-    if (estimate%number == 0) estimate%number = least
+    estimate%greatest = maxval(number)
+    estimate%too_large = count(.not. fits(bytes_each*number))
+    estimate%number = maxval(number, mask=fits(bytes_each*number))
+    if (estimate%too_large == plan%point_count) estimate%number = minval(number)
     particles = bytes_each*estimate%number
     estimate%task = particles
     estimate%merge = bytes_per_task*real(task_count(plan), dp)
     if (estimate%too_large == plan%point_count) then
       call add_problem(trim(merge('scan     ', 'particles', is_scanned(plan, 'number'))) &
-        //' number', to_text(least)//' particles', particles)
+        //' number', to_text(estimate%number)//' particles', particles)
       return
     end if
     others = real(plan%point_count - estimate%too_large, dp)*plan%replicas - 1.0_dp
@@ -104,13 +102,13 @@ contains
         /(pi*table%urn(1)%area), dp)
       estimate%task = estimate%task + estimate%events
     end if
-    if (estimate%problems == '' .and. .not. fits(estimate%merge)) call add_problem( &
-      'scan replicas', 'the results of '//to_text(task_count(plan))//' tasks', estimate%merge)
+    if (.not. (allocated(error) .or. fits(estimate%merge))) call add_problem('scan replicas', &
+      'the results of '//to_text(task_count(plan))//' tasks', estimate%merge)
 
   contains
 
     !> Whether a process can allocate `bytes` besides what every process needs.
-    logical function fits(bytes)
+    elemental logical function fits(bytes)
       real(dp), intent(in) :: bytes
 
       fits = bytes + base_bytes <= estimate%available%bytes
@@ -150,15 +148,17 @@ contains
         //estimate%available%limit//')')
     end subroutine add_problem
 
-    !> Adds a line to the problems.
+    !> Adds a line to the error.
     subroutine add_line(text)
       character(len=*), intent(in) :: text
+      character(len=:), allocatable :: before
 
-      if (estimate%problems /= '') estimate%problems = estimate%problems//new_line_character
-      estimate%problems = estimate%problems//plan%input_file//': &'//text
+      before = ''
+      if (allocated(error)) before = error%message//new_line_character
+      call fatal_error(error, before//plan%input_file//': &'//text, exit_bad_input)
     end subroutine add_line
 
-  end function estimate_of
+  end subroutine estimate_memory
 
   !> Duration of a run: as given, or from the mean time between the wall collisions of a particle in
   !> an urn, pi r/2.
@@ -183,19 +183,5 @@ contains
       //size_text(start_bytes)//' of memory to start; there are '//size_text(available%bytes) &
       //' ('// available%limit//')', exit_bad_input)
   end subroutine check_memory_for_mpi
-
-  !> An error that names the keys for which the memory does not suffice: for one task, or for rank 0
-  !> at the end; or whose numbers are too large for default integers. If only some points of a scan
-  !> are too large, it is no error here: their tasks fail.
-  subroutine check_estimate(plan, sharing, error)
-    type(plan_type), intent(in) :: plan
-    !> Ranks that share the machine's memory.
-    integer, intent(in) :: sharing
-    type(error_type), allocatable, intent(out) :: error
-    type(estimate_type) :: estimate
-
-    estimate = estimate_of(plan, sharing)
-    if (estimate%problems /= '') call fatal_error(error, estimate%problems, exit_bad_input)
-  end subroutine check_estimate
 
 end module battery_memory_estimate

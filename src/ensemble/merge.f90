@@ -7,7 +7,7 @@
 !> from its place into its hyperslab (`copy_outputs`), one in memory at a time. The old file is
 !> replaced when the new one is complete.
 module battery_merge
-  use battery_kinds, only: wp, dp, int32, int64
+  use battery_kinds, only: dp, int32, int64
   use battery_clocks, only: utc_now
   use battery_error, only: error_type, fatal_error, exit_bad_input
   use battery_files, only: has_stamp
@@ -28,7 +28,7 @@ module battery_merge
   use battery_task_result, only: task_result_type, next_result
   use battery_tasks, only: task_type, task_count, task_of, task_index_type, task_index_of, &
     task_number_of, task_id_in_results
-  use battery_text, only: string_type, to_text, join, new_line_character
+  use battery_text, only: string_type, to_text, join, numbers_text, new_line_character
   implicit none (type, external)
   private
   public :: merge_results, write_results_of, collect_results, sources_type
@@ -187,7 +187,7 @@ contains
     call write_text_attribute(file, '/', 'shape', plan%shape, error)
     call write_text_attribute(file, '/', 'urn_shape', plan%urn_shape, error)
     if (size(plan%scatterers) > 0) call write_text_attribute(file, '/', 'scatterers', &
-      numbers_text(plan%scatterers), error)
+      numbers_text(plan%scatterers, ' '), error)
     call write_text_attribute(file, '/', 'engine', plan%engine, error)
     if (plan%urn_sides > 0) call write_attribute(file, '/', 'urn_sides', int(plan%urn_sides, &
       int32), error)
@@ -207,19 +207,6 @@ contains
     ! Times in the file count from the clock time at the start of the runs.
     call write_attribute(file, '/', 'start_time', real(plan%start_time, dp), error)
   end subroutine write_description
-
-  !> Numbers separated by blanks.
-  pure function numbers_text(numbers) result(text)
-    real(wp), intent(in) :: numbers(:)
-    character(len=:), allocatable :: text
-    type(string_type) :: words(size(numbers))
-    integer :: k
-
-    do k = 1, size(numbers)
-      words(k)%text = to_text(numbers(k))
-    end do
-    text = join(words, ' ')
-  end function numbers_text
 
   !> Collects the numbers of all results, and the places of their task outputs. The old results file
   !> is read only if it is open and the journal does not have all tasks.

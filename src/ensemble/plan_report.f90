@@ -6,7 +6,7 @@ module battery_plan_report
   use battery_engine, only: particles_type
   use battery_error, only: error_type
   use battery_json_report, only: write_plan_json
-  use battery_memory_estimate, only: estimate_type, estimate_of, every_rank
+  use battery_memory_estimate, only: estimate_type, every_rank
   use battery_available_memory, only: size_text
   use battery_journal, only: journal_type
   use battery_merge, only: sources_type, close_sources
@@ -18,7 +18,7 @@ module battery_plan_report
   use battery_table, only: channel1, channel2
   use battery_tasks, only: task_type, task_count, task_of, initial_particles
   use battery_terminal, only: print_line
-  use battery_text, only: string_type, to_text, count_text, join
+  use battery_text, only: string_type, to_text, count_text, numbers_text
   implicit none (type, external)
   private
   public :: print_plan_report
@@ -29,17 +29,17 @@ module battery_plan_report
 
 contains
 
-  !> Prints the plan, and its time and memory on `ranks` ranks, `sharing` of which are on one
-  !> machine.
-  subroutine print_plan_report(plan, ranks, sharing, overwrite, json, error)
+  !> Prints the plan, and its time and memory on `ranks` ranks.
+  subroutine print_plan_report(plan, ranks, estimate, overwrite, json, error)
     type(plan_type), intent(in) :: plan
-    integer, intent(in) :: ranks, sharing
+    integer, intent(in) :: ranks
+    !> Memory that the plan needs.
+    type(estimate_type), intent(in) :: estimate
     !> Whether existing results would be discarded.
     logical, intent(in) :: overwrite
     !> JSON file for tasks, time and memory; empty: none.
     character(len=*), intent(in) :: json
     type(error_type), allocatable, intent(out) :: error
-    type(estimate_type) :: estimate
     type(journal_type) :: journal
     type(sources_type) :: sources
     type(progress_type) :: progress
@@ -57,7 +57,6 @@ contains
     end if
     if (allocated(error)) return
     if (message /= '') call print_line(message)
-    estimate = estimate_of(plan, sharing)
     call print_parameters(plan)
     remarks = remarks_of(plan)
     do at = 1, size(remarks)
@@ -178,15 +177,10 @@ contains
       real(wp), intent(in) :: values(:)
       character(len=:), allocatable :: text
       integer, parameter :: most = 25, first = 3
-      type(string_type) :: words(size(values))
-      integer :: k
 
-      do k = 1, size(values)
-        words(k)%text = to_text(values(k))
-      end do
-      text = join(words, ', ')
-      if (size(values) > most) text = join(words(:first), ', ')//' ... '//words(size(values))%text &
-        //' ('//to_text(size(values))//' values)'
+      text = numbers_text(values, ', ')
+      if (size(values) > most) text = numbers_text(values(:first), ', ')//' ... ' &
+        //to_text(values(size(values)))//' ('//to_text(size(values))//' values)'
     end function list_text
 
     !> Least and greatest value of one quantity.
@@ -245,8 +239,7 @@ contains
     type(simulation_type) :: simulation
     type(particles_type) :: particles
     integer :: tries, tried, k
-    integer(int64) :: before
-    real(dp) :: began, spent, elapsed, one_rate
+    real(dp) :: began, spent, collisions, share
 
     tries = min(most_tries, size(pending))
     tried = 0
@@ -260,24 +253,19 @@ contains
       if (.not. allocated(error)) call begin_simulation(simulation, task%setup, particles, error)
       if (allocated(error)) return
       began = cpu_seconds()
-      before = simulation%engine%collisions()
-      elapsed = real(simulation%elapsed, dp)
       do
         call advance_simulation(simulation)
-        spent = cpu_seconds() - began
+        spent = max(cpu_seconds() - began, 1.0e-9_dp)
         if (stop_requested()) call set_stop_error(error)
         if (allocated(error)) return
         if (spent > try_seconds .or. simulation%done) exit
       end do
       tried = tried + 1
-      one_rate = real(simulation%engine%collisions() - before, dp)/max(spent, 1.0e-9_dp)
-      rate = rate + one_rate
-      if (plan%duration > 0.0_wp) then
-        seconds = seconds + spent*real(plan%duration, dp)/max(real(simulation%elapsed, dp) &
-          - elapsed, tiny(1.0_dp))
-      else
-        seconds = seconds + real(plan%collisions, dp)/max(one_rate, 1.0e-9_dp)
-      end if
+      collisions = real(simulation%engine%collisions(), dp)
+      share = collisions/real(plan%collisions, dp)
+      if (plan%duration > 0.0_wp) share = real(simulation%elapsed/plan%duration, dp)
+      rate = rate + collisions/spent
+      seconds = seconds + spent/max(share, 1.0e-18_dp)
     end do
     seconds = seconds/max(tried, 1)
     rate = rate/max(tried, 1)

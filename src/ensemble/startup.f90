@@ -231,7 +231,7 @@ contains
     character(len=:), allocatable :: text
 
     text = ''
-    if (progress%begun > 0) text = ', '//to_text(progress%begun)//' from a saved state'
+    if (progress%begun > 0) text = ', '//to_text(progress%begun)//' begun and saved'
     if (progress%further > 0) text = text//', and up to '//to_text(progress%further) &
       //' more as the first replicas tell'
   end function further_text

@@ -2,8 +2,9 @@
 module battery_summary
   use, intrinsic :: ieee_arithmetic, only: ieee_is_nan
   use battery_blocks, only: error_of_mean
-  use battery_kinds, only: dp, int64
-  use battery_plan, only: plan_type
+  use battery_keys, only: key_threshold, key_threshold_fraction, key_number, key_width
+  use battery_kinds, only: wp, dp, int64
+  use battery_plan, only: plan_type, point_text
   use battery_table, only: channel1, channel2
   use battery_tasks, only: task_count
   use battery_precision, only: cut_between_groups
@@ -13,7 +14,7 @@ module battery_summary
   use battery_columns, only: whole_text, number_text, duration_text, rate_text
   use battery_terminal, only: print_line
   use battery_command_line, only: ways_to_stop
-  use battery_text, only: string_type, to_text, count_text
+  use battery_text, only: string_type, to_text, count_text, numbers_text
   implicit none (type, external)
   private
   public :: print_summary, print_stop
@@ -29,11 +30,15 @@ module battery_summary
     'current1', 'current2']
   character(len=*), parameter :: heads(4) = [character(len=22) :: '          chi  +-error', &
     '    polarised  +-error', '    current 1  +-error', '    current 2  +-error']
+  integer, parameter :: chi = 1, polarised_current = 2
+
+  !> The keys that have columns in the tables.
+  integer, parameter :: column_keys(5) = [key_number, key_threshold, key_threshold_fraction, &
+    key_width]
 
 contains
 
-  !> Prints the averages, and the tasks that failed, with reasons; `busy` is the least, mean and
-  !> greatest fraction of the time that a rank spent in tasks.
+  !> Prints the averages, and the tasks that failed, with reasons.
   subroutine print_summary(plan, results, failures, ranks, busy, seconds, collisions, all_done, &
       quiet)
     type(plan_type), intent(in) :: plan
@@ -42,45 +47,31 @@ contains
     type(string_type), intent(in) :: failures(:)
     !> Number of ranks.
     integer, intent(in) :: ranks
-    !> Least, mean and greatest fraction of time in tasks; duration of the run in seconds.
-    real(dp), intent(in) :: busy(3), seconds
+    !> Fraction of their time that ranks spent in tasks; duration of the run in seconds.
+    real(dp), intent(in) :: busy, seconds
     !> Wall collisions of this start, on all ranks.
     integer(int64), intent(in) :: collisions
     !> Whether no task is pending; whether to print errors only.
     logical, intent(in) :: all_done, quiet
-    integer :: point, replica, done, task
-    logical :: shown(size(names)), lacking
+    integer :: done, task
 
-    done = count(results%task_status == task_complete)
     do task = 1, size(failures)
       if (allocated(failures(task)%text)) call print_line('task '//to_text(task)//' failed: ' &
         //failures(task)%text)
     end do
     if (quiet) return
-    shown = shown_quantities(results)
-    lacking = .false.
-    if (task_count(plan) <= most_rows .and. done > 0) then
-      call print_line(table_head('   replica', shown))
-      do point = 1, size(results%point)
-        do replica = 1, plan%replicas
-          if (results%task_status(replica, point) == task_complete) call print_task_row(results, &
-            point, replica, shown, lacking)
-        end do
-      end do
-    end if
-    if (plan%replicas > 1 .and. plan%point_count <= most_rows) call print_points(results, shown)
-    if (lacking) call print_line('-: the run is too short for an error of its own; replicas give ' &
-      //'one (&scan replicas)')
+    call print_tables(plan, results)
     if (task_count(plan) > most_rows) call print_line('all points: battery-postproc table ' &
       //plan%file)
+    done = count(results%task_status == task_complete)
     call print_line(to_text(done)//' of '//to_text(count(results%task_status /= task_not_asked)) &
       //' tasks are complete')
     call list_points(results, point_two_states, 'replicas fall into two states')
     call list_points(results, point_not_precise, 'the precision was not reached')
     call print_line(rate_text(real(collisions, dp)/max(seconds, 1.0e-9_dp))//' collisions/s in ' &
       //duration_text(seconds)//' on '//count_text(ranks, 'rank')//', busy for '&
-      //to_text(nint(100.0_dp*busy(2)))//' % of the time')
-    if (done > 0) call print_slowest(results)
+      //to_text(nint(100.0_dp*busy))//' % of the time')
+    if (done > 0) call print_slowest(plan, results)
     if (any(results%counted(:, :, place_of('trapped', counted_quantities())) > 0)) &
       call print_line('some particles are on orbits that never leave: see the dataset trapped')
     if (results%short_tasks > 0) call print_line(to_text(results%short_tasks)//' of the complete ' &
@@ -104,182 +95,204 @@ contains
     call print_line(where_results_are)
   end subroutine print_stop
 
-  !> Which of `names` the tables show: chi and the polarised current where they are known, the
-  !> currents of the channels where a task has an error of them, or nothing else is known.
+  !> Prints a table of the complete tasks, each with its own errors, and one of the points with two
+  !> complete replicas or more, with errors from their scatter: of the polarised current, not of
+  !> those with a sign.
+  subroutine print_tables(plan, results)
+    type(plan_type), intent(in) :: plan
+    type(results_type), intent(in) :: results
+    integer :: complete(size(results%point)), p, r
+    integer, allocatable :: shown(:)
+    real(dp), allocatable :: error(:)
+    logical :: lacking
+
+    complete = count(results%task_status == task_complete, dim=1)
+    shown = shown_quantities(results)
+    lacking = .false.
+    if (task_count(plan) <= most_rows .and. any(complete > 0)) then
+      call print_line(table_head('   replica', shown))
+      do p = 1, size(complete)
+        do r = 1, plan%replicas
+          if (results%task_status(r, p) /= task_complete) cycle
+          error = results%error(r, p, places(shown))
+          lacking = lacking .or. any(ieee_is_nan(error))
+          call print_line(row_text(plan, results, p, r - 1, pairs_text(results%average(r, p, &
+            places(shown)), error)))
+        end do
+      end do
+    end if
+    if (plan%point_count <= most_rows .and. any(complete > 1)) then
+      if (any(shown == polarised_current)) shown = pack(shown, shown <= polarised_current)
+      call print_line(table_head('  replicas', shown)//'    (errors over replicas)')
+      do p = 1, size(complete)
+        if (complete(p) > 1) call print_line(row_text(plan, results, p, complete(p), &
+          means_text(results, p, shown)))
+      end do
+    end if
+    if (lacking) call print_line('-: the run is too short for an error of its own; replicas give ' &
+      //'one (&scan replicas)')
+  end subroutine print_tables
+
+  !> Places in `names` of what the tables show: chi and the polarised current where they are known,
+  !> the currents of the channels where a task has an error of them, or nothing else is known.
   pure function shown_quantities(results) result(shown)
     type(results_type), intent(in) :: results
-    logical :: shown(size(names))
-    integer :: at(size(names)), k
+    integer, allocatable :: shown(:)
+    logical :: is_shown(size(names))
+    real(dp), allocatable :: values(:, :)
+    integer :: k
 
-    at = places()
-    shown = [(is_known(results%average(:, :, at(k))), k=1, size(names))]
-    if (any(shown(:2))) shown(3:) = [(is_known(results%error(:, :, at(k))), k=3, size(names))]
-
-  contains
-
-    !> Whether a complete task has a value; (replica, point).
-    pure logical function is_known(values)
-      real(dp), intent(in) :: values(:, :)
-
-      is_known = any(results%task_status == task_complete .and. .not. ieee_is_nan(values))
-    end function is_known
-
+    do k = 1, size(names)
+      values = results%average(:, :, places(k))
+      if (k > polarised_current .and. any(is_shown(:polarised_current))) &
+        values = results%error(:, :, places(k))
+      is_shown(k) = any(results%task_status == task_complete .and. .not. ieee_is_nan(values))
+    end do
+    shown = pack([(k, k=1, size(names))], is_shown)
   end function shown_quantities
 
-  !> Place of each of `names` among the averages.
-  pure function places()
-    integer :: places(size(names)), k
+  !> Place among the averages of what has the place `k` in `names`.
+  elemental integer function places(k)
+    integer, intent(in) :: k
 
-    places = [(place_of(trim(names(k)), averaged_quantities()), k=1, size(names))]
+    places = place_of(trim(names(k)), averaged_quantities())
   end function places
 
   !> The head of a table; `which`: what its fifth column is.
   pure function table_head(which, shown) result(text)
     character(len=*), intent(in) :: which
-    logical, intent(in) :: shown(:)
+    !> Places in `names`.
+    integer, intent(in) :: shown(:)
     character(len=:), allocatable :: text
     integer :: k
 
     text = '     N    T       w         w'''//which
     do k = 1, size(shown)
-      if (shown(k)) text = text//heads(k)
+      text = text//heads(shown(k))
     end do
   end function table_head
+
+  !> A row of a table: the point, `which` is the replica or the number of replicas, and `values`,
+  !> then the keys of the scan that have no column.
+  function row_text(plan, results, p, which, values) result(text)
+    type(plan_type), intent(in) :: plan
+    type(results_type), intent(in) :: results
+    integer, intent(in) :: p, which
+    character(len=*), intent(in) :: values
+    character(len=:), allocatable :: text
+    integer :: k
+
+    associate (point => results%point(p))
+      text = whole_text(point%number, 6)//whole_text(point%threshold(1), 5) &
+        //number_text(point%channel(channel1)%width, 8, 4) &
+        //number_text(point%channel(channel2)%width, 11, 6)//whole_text(which, 10)//values
+    end associate
+    do k = 1, size(plan%scanned)
+      associate (scanned => plan%scanned(k))
+        ! The column of T is that of gate 1.
+        if (any(column_keys == scanned%place) .and. scanned%first == 1 .and. .not. &
+          allocated(scanned%second)) cycle
+      end associate
+      text = trim(text//'  '//point_text(plan, p, ''))
+      exit
+    end do
+  end function row_text
+
+  !> Text for quantities, each with its error.
+  pure function pairs_text(value, error) result(text)
+    real(dp), intent(in) :: value(:), error(:)
+    character(len=:), allocatable :: text
+    integer :: k
+
+    text = ''
+    do k = 1, size(value)
+      text = text//number_text(value(k), 13, 5)//number_text(error(k), 9, 5)
+    end do
+  end function pairs_text
+
+  !> Text for the means over the complete replicas of a point, with errors from their scatter; where
+  !> replicas fall into two states, for chi in both, in place of a mean that no replica has.
+  function means_text(results, p, shown) result(text)
+    type(results_type), intent(in) :: results
+    integer, intent(in) :: p
+    !> Places in `names`.
+    integer, intent(in) :: shown(:)
+    character(len=:), allocatable :: text
+    real(dp), allocatable :: values(:), group(:)
+    logical :: two_states(size(results%point))
+    real(dp) :: mean, cut
+    integer :: k
+
+    text = ''
+    two_states = has_status(results, point_two_states)
+    if (two_states(p)) then
+      values = complete_values(chi)
+      cut = cut_between_groups(values)
+      text = '   two states:'
+      do k = 1, 2
+        group = pack(values, (values > cut) .eqv. k == 2)
+        text = text//' chi = '//trim(adjustl(number_text(sum(group)/max(size(group), 1), 10, 5))) &
+          //' in '//to_text(size(group))//trim(merge(',', ' ', k == 1))
+      end do
+      return
+    end if
+    do k = 1, size(shown)
+      values = complete_values(shown(k))
+      mean = sum(values)/size(values)
+      ! A sum of values that cancel has an error of rounding, which is not shown.
+      if (abs(mean) < epsilon(mean)*maxval(abs(values))) mean = 0.0_dp
+      text = text//pairs_text([mean], [error_of_mean(values)])
+    end do
+
+  contains
+
+    !> Values of what has the place `k` in `names`.
+    pure function complete_values(k) result(values)
+      integer, intent(in) :: k
+      real(dp), allocatable :: values(:)
+
+      values = pack(results%average(:, p, places(k)), results%task_status(:, p) == task_complete)
+    end function complete_values
+
+  end function means_text
+
+  !> Whether each point has a given status, if a precision is required.
+  pure function has_status(results, status) result(yes)
+    type(results_type), intent(in) :: results
+    integer, intent(in) :: status
+    logical :: yes(size(results%point))
+
+    yes = .false.
+    if (allocated(results%point_status)) yes = results%point_status == status
+  end function has_status
 
   !> Prints the numbers of the points with a given status, and its meaning.
   subroutine list_points(results, status, meaning)
     type(results_type), intent(in) :: results
     integer, intent(in) :: status
     character(len=*), intent(in) :: meaning
-    character(len=:), allocatable :: text
+    integer, allocatable :: points(:)
     integer :: p
 
-    if (.not. allocated(results%point_status)) return
-    text = ''
-    do p = 1, size(results%point)
-      if (results%point_status(p) == status) text = text//' '//to_text(p - 1)
-    end do
-    if (text /= '') call print_line(meaning//', points (from 0):'//text)
+    points = pack([(p - 1, p=1, size(results%point))], has_status(results, status))
+    if (size(points) > 0) call print_line(meaning//', points (from 0): ' &
+      //numbers_text(real(points, wp), ' '))
   end subroutine list_points
 
   !> Prints the task with the most processor time.
-  subroutine print_slowest(results)
+  subroutine print_slowest(plan, results)
+    type(plan_type), intent(in) :: plan
     type(results_type), intent(in) :: results
     real(dp), allocatable :: cpu_seconds(:, :)
+    character(len=:), allocatable :: point
     integer :: at(2)
 
     cpu_seconds = results%average(:, :, place_of('cpu_seconds', averaged_quantities()))
     at = maxloc(cpu_seconds, mask=results%task_status == task_complete)
-    associate (r => at(1), p => at(2))
-      call print_line('slowest task: '//duration_text(cpu_seconds(r, p)) &
-        //' of a processor, N = '//to_text(results%point(p)%number)//', T = ' &
-        //to_text(results%point(p)%threshold(1))//', w = ' &
-        //to_text(results%point(p)%channel(channel1)%width)//', w'' = ' &
-        //to_text(results%point(p)%channel(channel2)%width)//', replica '//to_text(r - 1))
-    end associate
+    point = point_text(plan, at(2), '')
+    if (point /= '') point = point//', '
+    call print_line('slowest task: '//duration_text(cpu_seconds(at(1), at(2))) &
+      //' of a processor, '//point//'replica '//to_text(at(1) - 1))
   end subroutine print_slowest
-
-  !> Prints, for each point with two complete replicas or more, averages over the replicas and their
-  !> standard errors from the scatter: of the polarised current, not of those with a sign.
-  subroutine print_points(results, shown)
-    type(results_type), intent(in) :: results
-    !> Of `names`.
-    logical, intent(in) :: shown(:)
-    integer :: complete(size(results%point)), at(size(names)), k, p
-    logical :: averaged(size(names))
-    real(dp) :: mean(size(names)), error(size(names))
-    real(dp), allocatable :: values(:)
-
-    complete = count(results%task_status == task_complete, dim=1)
-    if (all(complete < 2)) return
-    averaged = shown
-    if (shown(2)) averaged(3:) = .false.
-    at = places()
-    call print_line(table_head('  replicas', averaged)//'    (errors over replicas)')
-    do p = 1, size(results%point)
-      if (complete(p) < 2) cycle
-      if (in_two_states(results, p)) then
-        call print_line(line_head(results, p, complete(p))//states_text(results, p))
-        cycle
-      end if
-      do k = 1, size(names)
-        values = pack(results%average(:, p, at(k)), results%task_status(:, p) == task_complete)
-        mean(k) = sum(values)/size(values)
-        error(k) = error_of_mean(values)
-      end do
-      call print_line(line_head(results, p, complete(p))//pairs_text(mean, error, averaged))
-    end do
-  end subroutine print_points
-
-  !> Whether the replicas of a point fall into two states.
-  pure logical function in_two_states(results, p)
-    type(results_type), intent(in) :: results
-    integer, intent(in) :: p
-
-    in_two_states = .false.
-    if (allocated(results%point_status)) in_two_states = results%point_status(p) == point_two_states
-  end function in_two_states
-
-  !> Text for both states of such a point, in place of a mean that no replica has.
-  function states_text(results, p) result(text)
-    type(results_type), intent(in) :: results
-    integer, intent(in) :: p
-    character(len=:), allocatable :: text
-    real(dp), allocatable :: chi(:), group(:)
-    real(dp) :: cut
-    integer :: k
-
-    chi = pack(results%average(:, p, place_of('chi', averaged_quantities())), &
-      results%task_status(:, p) == task_complete)
-    cut = cut_between_groups(chi)
-    text = '   two states:'
-    do k = 1, 2
-      group = pack(chi, (chi > cut) .eqv. k == 2)
-      text = text//' chi = '//trim(adjustl(number_text(sum(group)/max(size(group), 1), 10, 5))) &
-        //' in ' //to_text(size(group))//merge(',', ' ', k == 1)
-    end do
-    text = trim(text)
-  end function states_text
-
-  !> Prints one task: its averages and their errors.
-  subroutine print_task_row(results, p, r, shown, lacking)
-    type(results_type), intent(in) :: results
-    integer, intent(in) :: p, r
-    !> Of `names`.
-    logical, intent(in) :: shown(:)
-    !> Set if an error is not known.
-    logical, intent(inout) :: lacking
-    real(dp) :: error(size(names))
-
-    error = results%error(r, p, places())
-    lacking = lacking .or. any(shown .and. ieee_is_nan(error))
-    call print_line(line_head(results, p, r - 1)//pairs_text(results%average(r, p, places()), &
-      error, shown))
-  end subroutine print_task_row
-
-  !> Beginning of the line of a point; `which` is the replica, or the number of replicas.
-  pure function line_head(results, p, which) result(text)
-    type(results_type), intent(in) :: results
-    integer, intent(in) :: p, which
-    character(len=:), allocatable :: text
-
-    text = whole_text(results%point(p)%number, 6)//whole_text(results%point(p)%threshold(1), 5) &
-      //number_text(results%point(p)%channel(channel1)%width, 8, 4) &
-      //number_text(results%point(p)%channel(channel2)%width, 11, 6)//whole_text(which, 10)
-  end function line_head
-
-  !> Text for the shown quantities, each with its error.
-  pure function pairs_text(value, error, shown) result(text)
-    !> Of each of `names`.
-    real(dp), intent(in) :: value(:), error(:)
-    logical, intent(in) :: shown(:)
-    character(len=:), allocatable :: text
-    integer :: k
-
-    text = ''
-    do k = 1, size(shown)
-      if (shown(k)) text = text//number_text(value(k), 13, 5)//number_text(error(k), 9, 5)
-    end do
-  end function pairs_text
 
 end module battery_summary

@@ -1,10 +1,10 @@
-!> Alignment and page size of arrays in memory, and limits of this process on memory.
+!> Alignment and page size of arrays in memory, and the address space of threads.
 module battery_memory
-  use, intrinsic :: iso_c_binding, only: c_ptr, c_size_t, c_int, c_double
+  use, intrinsic :: iso_c_binding, only: c_ptr, c_size_t, c_int
   use battery_c_shapes, only: action
   implicit none (type, external)
   private
-  public :: prefer_large_pages, bytes_to_next_line, memory_limit, spare_address_space
+  public :: prefer_large_pages, bytes_to_next_line, spare_address_space
 
   !> Length of a cache line in bytes, on all processors that this program is likely to run on.
   integer, parameter, public :: line_bytes = 64
@@ -31,14 +31,6 @@ module battery_memory
       !> Number of bytes, 0 to 63.
       integer(c_int) :: bytes
     end function bytes_to_next_line
-
-    !> Limit of this process in bytes, infinite if there is none.
-    real(c_double) function memory_limit(of_data) bind(c, name='battery_memory_limit')
-      import :: c_int, c_double
-      implicit none (type, external)
-      !> 0: of its address space; 1: of its data.
-      integer(c_int), value, intent(in) :: of_data
-    end function memory_limit
   end interface
 
   !> Reduces the address space that threads reserve, if it is limited; to be called before there are

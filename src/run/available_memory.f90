@@ -5,18 +5,16 @@
 !> run without the part, divided by the number of its elements.
 !> `battery_memory_estimate` has the total of a plan.
 module battery_available_memory
-  use, intrinsic :: iso_c_binding, only: c_int
   use battery_kinds, only: dp
   use battery_error, only: error_type, fatal_error
   use battery_machine, only: text_after
-  use battery_memory, only: memory_limit
   use battery_text, only: to_text
   implicit none (type, external)
   private
   public :: free_memory_type, available_memory
   public :: bytes_per_entry, bytes_per_state, bytes_per_event, bytes_per_task
   public :: merged_entry, merged_state, base_bytes, most_numbers
-  public :: check_memory, enough_memory, size_text
+  public :: check_memory, size_text
 
   !> Bytes of an entry of the series, of a particle's stored state (of a snapshot, or the final one)
   !> and of an event, at the peak, when the result of the task is written.
@@ -51,18 +49,9 @@ module battery_available_memory
 
 contains
 
-  !> Whether this process can allocate `bytes`, and `base_bytes` besides.
-  logical function enough_memory(bytes) result(enough)
-    !> Bytes in addition to those allocated already.
-    real(dp), intent(in) :: bytes
-    type(free_memory_type) :: available
-
-    if (bytes > little) available = available_memory(1)
-    enough = bytes <= little .or. bytes + base_bytes <= available%bytes
-  end function enough_memory
-
-  !> An error if `bytes` for `what` cannot be allocated: a failed allocation would end the program,
-  !> and if the system overcommits memory, it would kill the process.
+  !> An error if `bytes` for `what`, and `base_bytes` besides, cannot be allocated: a failed
+  !> allocation would end the program, and if the system overcommits memory, it would kill the
+  !> process.
   subroutine check_memory(bytes, what, error)
     !> Bytes in addition to those allocated already.
     real(dp), intent(in) :: bytes
@@ -70,10 +59,11 @@ contains
     type(error_type), allocatable, intent(out) :: error
     type(free_memory_type) :: available
 
-    if (enough_memory(bytes)) return
+    if (bytes <= little) return
     available = available_memory(1)
-    call fatal_error(error, 'no memory for '//what//': '//size_text(bytes + base_bytes) &
-      //' are needed, '//size_text(available%bytes)//' are available ('//available%limit//')')
+    if (bytes + base_bytes > available%bytes) call fatal_error(error, 'no memory for '//what//': ' &
+      //size_text(bytes + base_bytes)//' are needed, '//size_text(available%bytes) &
+      //' are available ('//available%limit//')')
   end subroutine check_memory
 
   !> A number of bytes with a unit, rounded up: `35 MB`, `12 GB`.
@@ -104,10 +94,10 @@ contains
       'inactive_file ')/sharing, 'memory of the control group')
     call reduce(bytes_in_groups('/sys/fs/cgroup/memory', 'memory:', 'memory.limit_in_bytes', &
       'memory.usage_in_bytes', 'total_inactive_file ')/sharing, 'memory of the control group')
-    call reduce(memory_limit(0_c_int) - kilobyte*number_after('/proc/self/status', 'VmSize:'), &
-      'address space, ulimit -v')
-    call reduce(memory_limit(1_c_int) - kilobyte*number_after('/proc/self/status', 'VmData:'), &
-      'data, ulimit -d')
+    call reduce(bytes_left(number_after('/proc/self/limits', 'Max address space'), &
+      kilobyte*number_after('/proc/self/status', 'VmSize:')), 'address space, ulimit -v')
+    call reduce(bytes_left(number_after('/proc/self/limits', 'Max data size'), &
+      kilobyte*number_after('/proc/self/status', 'VmData:')), 'data, ulimit -d')
 
   contains
 
@@ -131,7 +121,7 @@ contains
     !> of the limit, and of used bytes and bytes of idle pages.
     character(len=*), intent(in) :: root, controller, limit, used, idle
     character(len=:), allocatable :: group
-    real(dp) :: most, now, spare
+    real(dp) :: most, spare
 
     bytes = huge(1.0_dp)
     group = text_after('/proc/self/cgroup', controller)
@@ -139,15 +129,23 @@ contains
     group = root//group
     do while (len(group) >= len(root))
       most = number_after(group//'/'//limit, '')
-      now = number_after(group//'/'//used, '')
       spare = number_after(group//'/memory.stat', idle)
-      if (most < none .and. now < none) &
-        bytes = min(bytes, most - now + merge(spare, 0.0_dp, spare < most))
+      bytes = min(bytes, bytes_left(most, number_after(group//'/'//used, '')) &
+        + merge(spare, 0.0_dp, spare < most))
       group = group(:index(group, '/', back=.true.) - 1)
     end do
   end function bytes_in_groups
 
-  !> Number after a name in a file of the system; `none` if there is no number, as in `max`.
+  !> Bytes below a limit that are not in use yet; any number of them if either is `none`.
+  pure real(dp) function bytes_left(limit, used)
+    real(dp), intent(in) :: limit, used
+
+    bytes_left = huge(1.0_dp)
+    if (max(limit, used) < none) bytes_left = limit - used
+  end function bytes_left
+
+  !> Number after a name in a file of the system; `none` if there is no number, as in `max` or
+  !> `unlimited`.
   real(dp) function number_after(file, name) result(number)
     character(len=*), intent(in) :: file, name
     character(len=:), allocatable :: text

@@ -151,26 +151,22 @@ contains
     integer, intent(in) :: threshold
     !> Width of channel 2 over that of channel 1; load of a gate per particle in its urn.
     real(dp), intent(in) :: widths, load
-    integer, parameter :: steps = 200, halvings = 40
-    real(dp) :: low, high, middle
-    integer :: at
+    !> Parts of the interval that has the number, and how often the first part where the flows
+    !> balance is divided again.
+    integer, parameter :: parts = 200, divisions = 4
+    real(dp) :: part
+    integer :: division, at
 
-    sparse = 0.5_dp*number
-    do at = 1, steps - 1
-      high = 0.5_dp*number*real(at, dp)/real(steps, dp)
-      if (net_inflow(high) <= 0.0_dp) exit
+    sparse = 0.0_dp
+    part = 0.5_dp*number
+    do division = 1, divisions
+      part = part/real(parts, dp)
+      do at = 1, parts
+        if (net_inflow(sparse + part) <= 0.0_dp) exit
+        sparse = sparse + part
+      end do
     end do
-    if (at == steps) return
-    low = 0.5_dp*number*real(at - 1, dp)/real(steps, dp)
-    do at = 1, halvings
-      middle = 0.5_dp*(low + high)
-      if (net_inflow(middle) > 0.0_dp) then
-        low = middle
-      else
-        high = middle
-      end if
-    end do
-    sparse = 0.5_dp*(low + high)
+    sparse = sparse + 0.5_dp*part
 
   contains
 
@@ -235,29 +231,24 @@ contains
     lacking_share = circulation%growth*sum(exp(-age)*log(1.0_dp + 1.0_dp/age))/real(parts, dp)
   end function lacking_share
 
-  !> Transient, to two digits, after which the current of a run that measures twice as long has a
-  !> relative deficit of at most `part`.
+  !> Transient, the least number of two digits, after which the current of a run that measures twice
+  !> as long has a relative deficit of at most `part`.
   pure real(dp) function transient_for(circulation, part) result(transient)
     type(circulation_type), intent(in) :: circulation
     !> Greatest relative deficit allowed, above 0.
     real(dp), intent(in) :: part
-    integer, parameter :: halvings = 60
-    real(dp) :: low, high, unit
-    integer :: at
+    !> Decades below the lifetime at which the search begins.
+    integer, parameter :: decades = 13
+    integer :: power, digits
 
-    ! Exponents of ten: the transient in units of the lifetime.
-    low = -12.0_dp
-    high = 2.0_dp
-    do at = 1, halvings
-      transient = circulation%lifetime*10.0_dp**(0.5_dp*(low + high))
-      if (lacking_share(circulation, [1.0_dp, 1.0_dp + measured]*transient) > part) then
-        low = 0.5_dp*(low + high)
-      else
-        high = 0.5_dp*(low + high)
-      end if
+    power = floor(log10(circulation%lifetime)) - decades
+    do
+      do digits = 10, 99
+        transient = real(digits, dp)*10.0_dp**power
+        if (lacking_share(circulation, [1.0_dp, 1.0_dp + measured]*transient) <= part) return
+      end do
+      power = power + 1
     end do
-    unit = 10.0_dp**(floor(log10(transient)) - 1)
-    transient = unit*real(ceiling(transient/unit), dp)
   end function transient_for
 
   !> A fraction as text in per cent, with two decimals below 1, else with one: `0.31`, `1.2`,
@@ -267,9 +258,8 @@ contains
     character(len=:), allocatable :: text
     character(len=16) :: buffer
 
-    write (buffer, merge('(f0.2)', '(f0.1)', 100.0_dp*part < 0.995_dp)) 100.0_dp*part
+    write (buffer, merge('(f4.2)', '(f0.1)', 100.0_dp*part < 0.995_dp)) 100.0_dp*part
     text = trim(buffer)
-    if (text(1:1) == '.') text = '0'//text
   end function percent_text
 
 end module battery_current_age

@@ -16,8 +16,8 @@ module battery_simulation
   use battery_engines, only: new_engine, explain_refusal, bytes_per_particle
   use battery_event_log, only: event_log_type, append_events, serialize_events
   use battery_archive, only: archive_type
-  use battery_available_memory, only: check_memory, enough_memory, bytes_per_entry, &
-    bytes_per_state, bytes_per_event
+  use battery_available_memory, only: check_memory, bytes_per_entry, bytes_per_state, &
+    bytes_per_event
   implicit none (type, external)
   private
   public :: run_type, setup_type, simulation_type, begin_simulation, advance_simulation, progress, &
@@ -166,14 +166,15 @@ contains
   !> Ends the run if there is no memory for a series and an event log of twice the present length.
   subroutine stop_if_out_of_memory(simulation)
     type(simulation_type), intent(inout) :: simulation
+    type(error_type), allocatable :: error
 
     associate (s => simulation)
       if (int(s%observer%entries, int64) + s%events%count < s%unchecked_length .and. &
         .not. (s%out_of_room .or. s%observer%out_of_room)) return
-      s%out_of_room = s%out_of_room .or. s%observer%out_of_room .or. &
+      call check_memory(2.0_dp*(bytes_per_entry*s%observer%entries &
+        + bytes_per_event*s%events%count), 'series and events', error)
+      s%out_of_room = s%out_of_room .or. s%observer%out_of_room .or. allocated(error) .or. &
         max(s%observer%entries, s%events%count) > most_kept
-      if (.not. s%out_of_room) s%out_of_room = .not. enough_memory(2.0_dp &
-        *(bytes_per_entry*s%observer%entries + bytes_per_event*s%events%count))
       s%unchecked_length = 2*s%unchecked_length
       if (s%out_of_room) s%done = .true.
     end associate
