@@ -178,17 +178,16 @@ contains
         one%is_whole = key%kind == whole_key
         one%first = merge(2, 1, key%is_second)
         last = size(plan%scanned)
-        if (last > 0 .and. key%is_second) then
-          if (plan%scanned(last)%place == key%place) then
-            if (size(one%values) == size(plan%scanned(last)%values)) then
-              plan%scanned(last)%second = one%values
-            else
-              call refuse_key(plan, one%key, 'has '//to_text(size(one%values))//' values', &
-                to_text(size(plan%scanned(last)%values))//', one for each of ' &
-                //plan%scanned(last)%key)
-            end if
+        one%is_paired = last > 0 .and. key%is_second
+        if (one%is_paired) one%is_paired = plan%scanned(last)%place == key%place
+        if (one%is_paired) then
+          if (size(one%values) /= size(plan%scanned(last)%values)) then
+            call refuse_key(plan, one%key, 'has '//to_text(size(one%values))//' values', &
+              to_text(size(plan%scanned(last)%values))//', one for each of ' &
+              //plan%scanned(last)%key)
             cycle
           end if
+          plan%scanned(last)%last = 1
         end if
         plan%scanned = [plan%scanned, one]
       end associate

@@ -160,7 +160,8 @@ contains
 
     total = plan%replicas
     do at = 1, size(plan%scanned)
-      if (total <= most_tasks) total = total*size(plan%scanned(at)%values)
+      if (total <= most_tasks .and. .not. plan%scanned(at)%is_paired) &
+        total = total*size(plan%scanned(at)%values)
     end do
   end function task_total
 
@@ -169,6 +170,7 @@ contains
   subroutine check_repeats(plan)
     type(plan_type), intent(inout) :: plan
     real(wp), allocatable :: values(:), numbers(:), widths(:)
+    integer, allocatable :: rank(:)
     integer :: at, k, again
 
     numbers = values_of(plan, 'number')
@@ -178,11 +180,16 @@ contains
     widths = values_of(plan, 'channel2_width')
     if (size(widths) == 0) widths = plan%base%of(key_width(channel2))%real(:1)
     do at = 1, size(plan%scanned)
+      if (plan%scanned(at)%is_paired) cycle
       values = plan%scanned(at)%values
-      again = first_repeat(values, plan%scanned(at)%second)
+      rank = ranks_of(values)
+      ! The second values of pairs are those of the next key.
+      if (plan%scanned(at)%last == 1) rank = ranks_of(real(rank, wp)*size(rank) &
+        + ranks_of(plan%scanned(at + 1)%values))
+      again = first_repeat(rank)
       if (index(plan%scanned(at)%key, '_fraction') > 0 .and. again == 0) then
         do k = 1, size(numbers)
-          again = first_repeat(real(rounded(values*numbers(k)), wp))
+          again = first_repeat(ranks_of(real(rounded(values*numbers(k)), wp)))
           if (again > 0) exit
         end do
       end if
@@ -194,20 +201,13 @@ contains
   end subroutine check_repeats
 
   !> Place of the first value, or pair of values, that repeats an earlier one; 0 if there is none.
-  integer function first_repeat(values, second) result(place)
-    !> The list, or the first values of the pairs.
-    real(wp), intent(in) :: values(:)
-    !> The second values of the pairs.
-    real(wp), allocatable, intent(in), optional :: second(:)
-    integer :: rank(size(values))
-    logical :: seen(size(values))
+  pure integer function first_repeat(rank) result(place)
+    !> Ranks of the values, from `ranks_of`.
+    integer, intent(in) :: rank(:)
+    logical :: seen(size(rank))
 
-    rank = ranks_of(values)
-    if (present(second)) then
-      if (allocated(second)) rank = ranks_of(real(rank, wp)*size(values) + ranks_of(second))
-    end if
     seen = .false.
-    do place = 1, size(values)
+    do place = 1, size(rank)
       if (seen(rank(place))) return
       seen(rank(place)) = .true.
     end do
