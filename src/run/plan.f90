@@ -20,6 +20,7 @@ module battery_plan
     of_state
   use battery_keys, only: scannable, key_threshold, key_threshold_fraction, key_number, key_width, &
     key_length, key_radius, key_urn1_fraction
+  use battery_settings, only: settings_type
   use battery_text, only: to_text
   implicit none (type, external)
   private
@@ -77,8 +78,9 @@ module battery_plan
 
   !> The plan. Components are named like the keys of the namelist; the unit of length is free.
   type, extends(run_type) :: plan_type
-    !> Text of the whole namelist, and the name of its file.
+    !> Text of the whole namelist, the name of its file, and the keys that it sets.
     character(len=:), allocatable :: text, input_file
+    type(settings_type) :: settings
     character(len=:), allocatable :: shape, urn_shape
     !> Number of sides of urns that are regular polygons; outline of each urn that is given by its
     !> corners, in a frame of its own with x towards channel 1.
