@@ -37,12 +37,6 @@ module battery_settings
     type(findings_type) :: problems
   end type settings_type
 
-  !> Gets the `value` of a key; if the key has none, `value` does not change. `group` and `name` are
-  !> in small letters. If a key of two numbers is given one, it is the value of both.
-  interface get_value
-    module procedure :: get_one_value, get_two_values
-  end interface get_value
-
 contains
 
   !> Parses the text of a namelist file.
@@ -384,48 +378,30 @@ contains
     if (place == 0) error stop 'a key is not declared'
   end function find_setting
 
-  !> Gets the value of a key with a single value.
-  pure subroutine get_one_value(settings, group, name, value)
+  !> Gets the value of a key, of several the first.
+  pure subroutine get_value(settings, group, name, value)
     type(settings_type), intent(in) :: settings
+    !> Group and name of the key.
     character(len=*), intent(in) :: group, name
+    !> Value of the key; if it has none, `value` does not change.
     class(*), intent(inout) :: value
-
-    call get_value_at(settings%all(find_setting(settings, group, name)), 1, value)
-  end subroutine get_one_value
-
-  !> Copies both values of a key of two numbers to `value`: a single number
-  !> stands for both.
-  pure subroutine get_two_values(settings, group, name, value)
-    type(settings_type), intent(in) :: settings
-    character(len=*), intent(in) :: group, name
-    class(*), intent(inout) :: value(2)
 
     associate (setting => settings%all(find_setting(settings, group, name)))
-      call get_value_at(setting, 1, value(1))
-      call get_value_at(setting, size(setting%integers) + size(setting%reals), value(2))
+      if (.not. setting%known) return
+      select type (value)
+      type is (integer(int32))
+        value = int(setting%integers(1))
+      type is (integer(int64))
+        value = setting%integers(1)
+      type is (real(wp))
+        value = setting%reals(1)
+      type is (logical)
+        value = setting%flag
+      class default
+        error stop 'no key has a value of this type'
+      end select
     end associate
-  end subroutine get_two_values
-
-  !> Gets value number `at` of a setting.
-  pure subroutine get_value_at(setting, at, value)
-    type(setting_type), intent(in) :: setting
-    integer, intent(in) :: at
-    class(*), intent(inout) :: value
-
-    if (.not. setting%known) return
-    select type (value)
-    type is (integer(int32))
-      value = int(setting%integers(at))
-    type is (integer(int64))
-      value = setting%integers(at)
-    type is (real(wp))
-      value = setting%reals(at)
-    type is (logical)
-      value = setting%flag
-    class default
-      error stop 'no key has a value of this type'
-    end select
-  end subroutine get_value_at
+  end subroutine get_value
 
   !> Gets all values of a key of numbers.
   pure subroutine get_list(settings, group, name, value)

@@ -158,13 +158,13 @@ contains
       associate (key => settings%all(at)%key)
         if (key%place == 0 .or. key%is_range) cycle
         if (key%group /= 'scan') then
-          associate (values => plan%base%of(key%place))
-            values%known = settings%all(at)%known
-            if (key%kind == whole_key) then
-              call get_value(settings, trim(key%group), trim(key%name), values%whole)
-            else
-              call get_value(settings, trim(key%group), trim(key%name), values%real)
-            end if
+          ! One number is the value of both.
+          associate (values => plan%base%of(key%place), setting => settings%all(at))
+            values%known = setting%known
+            if (values%known .and. key%kind == whole_key) &
+              values%whole = setting%integers([1, size(setting%integers)])
+            if (values%known .and. key%kind /= whole_key) &
+              values%real = setting%reals([1, size(setting%reals)])
           end associate
           cycle
         end if

@@ -12,7 +12,7 @@ submodule (battery_plan) battery_plan_checks
   use battery_findings, only: add_point_findings, reported_findings, of_missing
   use battery_outline_checks, only: check_outlines, check_outline_at, has_outline, &
     has_valid_outlines
-  use battery_bounds, only: bounds_type, bounds_text, can_count_hits, finest, greatest_radius, &
+  use battery_bounds, only: bounds_text, can_count_hits, finest, greatest_radius, &
     of_powers, of_lengths, of_widths, of_times, of_clocks
   implicit none (type, external)
 
@@ -347,8 +347,8 @@ contains
 
     before = size(plan%problems)
     size_key = merge('urn_vertices', 'urn_radius  ', has_outline(plan))
-    call check_range(plan, trim(size_key), radii(1), bounds_type(1.0_wp/greatest_radius, &
-      greatest_radius, of_powers))
+    call check_range(plan, trim(size_key), radii(1), 1.0_wp/greatest_radius, greatest_radius, &
+      of_powers)
     if (size(plan%problems) > before) return
     call check_beside(trim(size_key), radii(2), longest)
     call check_beside('channel1_length', point%channel(channel1)%length, open_length(point))
@@ -366,8 +366,7 @@ contains
       character(len=*), intent(in) :: key
       real(wp), intent(in) :: length, other
 
-      call check_range(plan, key, length, bounds_type(finest*max(radii(1), other), &
-        radii(1)/finest, of_lengths))
+      call check_range(plan, key, length, finest*max(radii(1), other), radii(1)/finest, of_lengths)
     end subroutine check_beside
 
     !> Checks a width: close to the diameter, the remaining arcs and area lose their digits as well.
@@ -379,8 +378,8 @@ contains
         call refuse_value(plan, key, to_text(width), &
           'below 2 urn_radius, which is '//to_text(2.0_wp*radii(1)))
       else if (width > 0.0_wp) then
-        call check_range(plan, key, width, bounds_type(finest*max(radii(2), longest), &
-          (2.0_wp - finest)*radii(1), of_widths))
+        call check_range(plan, key, width, finest*max(radii(2), longest), &
+          (2.0_wp - finest)*radii(1), of_widths)
       end if
     end subroutine check_width
 
@@ -392,15 +391,13 @@ contains
     type(plan_type), intent(inout) :: plan
     !> The least radius, and the longest length of the table.
     real(wp), intent(in) :: radius, longest
-    type(bounds_type) :: clock
 
     call check_time('duration', plan%duration)
     call check_time('series_interval', plan%series_interval)
     call check_time('time_step', plan%time_step)
-    clock = bounds_type(0.0_wp, longest_run*radius, of_clocks)
-    call check_range(plan, 'start_time', plan%start_time, clock)
+    call check_range(plan, 'start_time', plan%start_time, 0.0_wp, longest_run*radius, of_clocks)
     if (size(plan%snapshot_times) > 0) call check_range(plan, 'snapshot_times', &
-      maxval(plan%snapshot_times), clock)
+      maxval(plan%snapshot_times), 0.0_wp, longest_run*radius, of_clocks)
 
   contains
 
@@ -409,21 +406,22 @@ contains
       character(len=*), intent(in) :: key
       real(wp), intent(in) :: time
 
-      if (time > 0.0_wp) call check_range(plan, key, time, bounds_type(finest*longest, &
-        longest_run*radius, of_times))
+      if (time > 0.0_wp) call check_range(plan, key, time, finest*longest, longest_run*radius, &
+        of_times)
     end subroutine check_time
 
   end subroutine check_times
 
   !> Refuses a value outside its bounds.
-  pure subroutine check_range(plan, key, value, bounds)
+  pure subroutine check_range(plan, key, value, least, most, reason)
     type(plan_type), intent(inout) :: plan
     character(len=*), intent(in) :: key
-    real(wp), intent(in) :: value
-    type(bounds_type), intent(in) :: bounds
+    !> The value, its bounds, and the reason for them.
+    real(wp), intent(in) :: value, least, most
+    integer, intent(in) :: reason
 
-    if (.not. (value >= bounds%least .and. value <= bounds%most)) &
-      call refuse_value(plan, key, to_text(value), bounds_text(bounds))
+    if (.not. (value >= least .and. value <= most)) &
+      call refuse_value(plan, key, to_text(value), bounds_text(least, most, reason))
   end subroutine check_range
 
   !> Length of channel 2, or 0 if it is closed.
