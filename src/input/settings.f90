@@ -7,8 +7,7 @@ module battery_settings
   use battery_text, only: string_type, to_text, lower_case, join, closest_word
   use battery_numbers, only: read_whole, read_decimal
   use battery_findings, only: findings_type, finding_of, add_finding
-  use battery_namelist_text, only: value_type, entry_type, group_type, split_namelist, &
-    written_text
+  use battery_namelist_text, only: value_type, entry_type, split_namelist, written_text
   use battery_key, only: key_type, distinct_names, find_key, allowed_text, is_beyond, whole_key, &
     real_key, text_key, logical_key, longest_text, longest_range
   implicit none (type, external)
@@ -46,20 +45,20 @@ contains
     !> List of all keys.
     type(key_type), intent(in) :: keys(:)
     type(settings_type), intent(out) :: settings
-    type(group_type), allocatable :: groups(:)
     type(entry_type), allocatable :: entries(:)
     !> Place of the key probably meant by each unknown entry; 0: none is similar.
     integer, allocatable :: meant(:)
     integer :: at, place
 
-    call split_namelist(text, groups, entries, settings%problems)
-    call check_groups(keys, groups, settings%problems)
+    call split_namelist(text, entries, settings%problems)
+    call check_groups(keys, entries, settings%problems)
     allocate (settings%all(size(keys)))
     do at = 1, size(keys)
       call set_default(keys(at), settings%all(at))
     end do
     allocate (meant(size(entries)), source=0)
     do at = 1, size(entries)
+      if (.not. allocated(entries(at)%key)) cycle
       place = find_key(keys, entries(at)%group, entries(at)%key)
       if (place == 0) then
         meant(at) = meant_key(keys, entries(at))
@@ -87,9 +86,9 @@ contains
   end subroutine read_settings
 
   !> Reports unknown and repeated groups.
-  subroutine check_groups(keys, groups, problems)
+  subroutine check_groups(keys, entries, problems)
     type(key_type), intent(in) :: keys(:)
-    type(group_type), intent(in) :: groups(:)
+    type(entry_type), intent(in) :: entries(:)
     type(findings_type), intent(inout) :: problems
     type(string_type), allocatable :: names(:)
     !> Line in which each group is first; 0: none.
@@ -98,20 +97,22 @@ contains
 
     names = distinct_names(keys%group)
     allocate (first_line(size(names)), source=0)
-    do at = 1, size(groups)
-      do name = 1, size(names)
-        if (names(name)%text == groups(at)%name) exit
-      end do
-      if (name > size(names)) then
-        call add_finding(problems, finding_of(groups(at)%line, 'there is no such group' &
-          //suggestion('&', closest_word(groups(at)%name, names)), '&'//join(names, ', &'), &
-          groups(at)%name))
-      else if (first_line(name) > 0) then
-        call add_finding(problems, finding_of(groups(at)%line, 'is given again', 'once (line ' &
-          //to_text(first_line(name))//')', groups(at)%name))
-      else
-        first_line(name) = groups(at)%line
-      end if
+    do at = 1, size(entries)
+      if (allocated(entries(at)%key)) cycle
+      associate (line => entries(at)%line, group => entries(at)%group)
+        do name = 1, size(names)
+          if (names(name)%text == group) exit
+        end do
+        if (name > size(names)) then
+          call add_finding(problems, finding_of(line, 'there is no such group'//suggestion('&', &
+            closest_word(group, names)), '&'//join(names, ', &'), group))
+        else if (first_line(name) > 0) then
+          call add_finding(problems, finding_of(line, 'is given again', 'once (line ' &
+            //to_text(first_line(name))//')', group))
+        else
+          first_line(name) = line
+        end if
+      end associate
     end do
   end subroutine check_groups
 
