@@ -144,7 +144,6 @@ contains
       associate (one => plan%scanned(at))
         call print_row(trim(merge('scan:', '     ', at == 1)), one%key//' = ' &
           //list_text(one%values))
-        if (allocated(one%second)) call print_row('', one%key//'2 = '//list_text(one%second))
       end associate
     end do
     call print_row('engine:', plan%engine)

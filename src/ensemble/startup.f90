@@ -438,14 +438,18 @@ contains
     logical, intent(out) :: same
     type(error_type), allocatable, intent(out) :: error
     character(len=:), allocatable :: keys, longer
+    type(plan_type) :: old
+    type(error_type), allocatable :: wrong
 
-    keys = differing_keys(before, plan%text)
+    call parse_namelist(before, plan%file, old, wrong)
+    keys = differing_keys(old%settings, plan%settings)
     same = keys == '' .and. initial_fingerprint == plan%initial_fingerprint
     if (same) return
     if (keys == '') then
       keys = '&particles initial_file: '''//plan%initial_file//''' has other contents now'
-    else if (has_all_of(plan, before, initial_fingerprint)) then
-      return
+    else if (.not. allocated(wrong)) then
+      old%initial_fingerprint = initial_fingerprint
+      if (has_all_of(plan, old)) return
     end if
     longer = ''
     if (index(keys, '&run collisions') > 0 .or. index(keys, '&run duration') > 0) longer = &
@@ -456,25 +460,18 @@ contains
       //'name another output file, or discard it with --overwrite'//longer, exit_bad_input)
   end subroutine compare_inputs
 
-  !> Whether a plan has all tasks of an input.
-  logical function has_all_of(plan, before, initial_fingerprint) result(yes)
-    type(plan_type), intent(in) :: plan
-    character(len=*), intent(in) :: before
-    integer(int64), intent(in) :: initial_fingerprint
-    type(plan_type) :: old
+  !> Whether a plan has all tasks of an earlier one.
+  logical function has_all_of(plan, old) result(yes)
+    type(plan_type), intent(in) :: plan, old
     type(task_index_type) :: task_index
     type(task_type) :: task
-    type(error_type), allocatable :: error
     integer :: k
 
-    call parse_namelist(before, plan%file, old, error)
-    yes = .not. allocated(error)
     ! Without a precision all replicas are needed.
-    if (yes) yes = task_count(old) <= task_count(plan) .and. plan%first_replicas &
+    yes = task_count(old) <= task_count(plan) .and. plan%first_replicas &
       >= old%first_replicas .and. (all(is_finer(plan%precision, old%precision)) &
       .or. .not. any(plan%precision > 0.0_wp))
     if (.not. yes) return
-    old%initial_fingerprint = initial_fingerprint
     task_index = task_index_of(plan)
     do k = 1, task_count(old)
       task = task_of(old, k)

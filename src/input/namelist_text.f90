@@ -8,7 +8,7 @@ module battery_namelist_text
   use battery_findings, only: findings_type, finding_of, add_finding, displayable_text
   implicit none (type, external)
   private
-  public :: value_type, entry_type, group_type, split_namelist, written_text
+  public :: value_type, entry_type, split_namelist, written_text
 
   !> Largest number of values of one key, including repeats.
   integer, parameter, public :: most_values = 100000
@@ -24,7 +24,8 @@ module battery_namelist_text
     logical :: quoted = .false.
   end type value_type
 
-  !> An entry `key = values`.
+  !> An entry `key = values`, or the beginning of a group, `&group`: then key and values are not
+  !> allocated.
   type :: entry_type
     !> Group and key in small letters.
     character(len=:), allocatable :: group, key
@@ -34,20 +35,13 @@ module battery_namelist_text
     logical :: refused = .false.
   end type entry_type
 
-  !> The beginning of a group, `&name`.
-  type :: group_type
-    character(len=:), allocatable :: name
-    integer :: line = 0
-  end type group_type
-
-  !> Position of the reader in the text, and the groups and entries read so far.
+  !> Position of the reader in the text, and the entries read so far.
   type :: reader_type
     character(len=:), allocatable :: text
     integer :: at = 1, line = 1
-    !> Groups and entries; the arrays may be longer than their numbers.
-    type(group_type), allocatable :: groups(:)
+    !> Entries; the array may be longer than their number.
     type(entry_type), allocatable :: entries(:)
-    integer :: group_count = 0, entry_count = 0
+    integer :: entry_count = 0
     !> Values of the key that is being read.
     type(value_type), allocatable :: values(:)
     type(findings_type) :: problems
@@ -61,19 +55,15 @@ module battery_namelist_text
 
 contains
 
-  !> Splits `text` into `groups`, including repeated ones, and `entries`, the keys with their
-  !> values, in their order; syntax errors are added to `problems`, and the rest is parsed
-  !> nevertheless.
-  subroutine split_namelist(text, groups, entries, problems)
+  !> Splits `text` into `entries`, in their order: groups, including repeated ones, and keys with
+  !> their values; syntax errors are added to `problems`, and the rest is parsed nevertheless.
+  subroutine split_namelist(text, entries, problems)
     character(len=*), intent(in) :: text
-    type(group_type), allocatable, intent(out) :: groups(:)
     type(entry_type), allocatable, intent(out) :: entries(:)
     type(findings_type), intent(out) :: problems
     type(reader_type) :: reader
-    integer :: at
 
-    allocate (reader%groups(count([(text(at:at) == '&', at=1, len(text))])), reader%entries(64), &
-      reader%values(most_values))
+    allocate (reader%entries(64), reader%values(most_values))
     reader%text = text
     reader%at = text_start(text)
     do
@@ -87,7 +77,6 @@ contains
         call skip_line(reader)
       end if
     end do
-    groups = reader%groups(:reader%group_count)
     entries = reader%entries(:reader%entry_count)
     problems = reader%problems
   end subroutine split_namelist
@@ -118,14 +107,13 @@ contains
   !> Parses a group, from its `&` to its end.
   subroutine read_group(reader)
     type(reader_type), intent(inout) :: reader
-    type(group_type) :: group
+    type(entry_type) :: start
 
     reader%at = reader%at + 1
-    group%line = reader%line
-    call read_before(reader, verify(reader%text(reader%at:), name_signs), group%name)
-    group%name = lower_case(group%name)
-    reader%group_count = reader%group_count + 1
-    reader%groups(reader%group_count) = group
+    start%line = reader%line
+    call read_before(reader, verify(reader%text(reader%at:), name_signs), start%group)
+    start%group = lower_case(start%group)
+    call add_entry(reader, start)
     do
       call skip_blanks(reader, commas=.true.)
       if (at_end(reader)) exit
@@ -139,11 +127,11 @@ contains
         reader%at = reader%at + 4
         return
       case default
-        call read_entry(reader, group%name)
+        call read_entry(reader, start%group)
       end select
     end do
-    call add_finding(reader%problems, finding_of(group%line, &
-      'the / that ends the group is missing', group=group%name))
+    call add_finding(reader%problems, finding_of(start%line, &
+      'the / that ends the group is missing', group=start%group))
   end subroutine read_group
 
   !> Parses an entry `key = values`.

@@ -7,8 +7,7 @@ module battery_settings
   use battery_text, only: string_type, to_text, lower_case, join, closest_word
   use battery_numbers, only: read_whole, read_decimal
   use battery_findings, only: findings_type, finding_of, add_finding
-  use battery_namelist_text, only: value_type, entry_type, group_type, split_namelist, &
-    written_text
+  use battery_namelist_text, only: value_type, entry_type, split_namelist, written_text
   use battery_key, only: key_type, distinct_names, find_key, allowed_text, is_beyond, whole_key, &
     real_key, text_key, logical_key, longest_text, longest_range
   implicit none (type, external)
@@ -37,12 +36,6 @@ module battery_settings
     type(findings_type) :: problems
   end type settings_type
 
-  !> Gets the `value` of a key; if the key has none, `value` does not change. `group` and `name` are
-  !> in small letters. If a key of two numbers is given one, it is the value of both.
-  interface get_value
-    module procedure :: get_one_value, get_two_values
-  end interface get_value
-
 contains
 
   !> Parses the text of a namelist file.
@@ -52,20 +45,20 @@ contains
     !> List of all keys.
     type(key_type), intent(in) :: keys(:)
     type(settings_type), intent(out) :: settings
-    type(group_type), allocatable :: groups(:)
     type(entry_type), allocatable :: entries(:)
     !> Place of the key probably meant by each unknown entry; 0: none is similar.
     integer, allocatable :: meant(:)
     integer :: at, place
 
-    call split_namelist(text, groups, entries, settings%problems)
-    call check_groups(keys, groups, settings%problems)
+    call split_namelist(text, entries, settings%problems)
+    call check_groups(keys, entries, settings%problems)
     allocate (settings%all(size(keys)))
     do at = 1, size(keys)
       call set_default(keys(at), settings%all(at))
     end do
     allocate (meant(size(entries)), source=0)
     do at = 1, size(entries)
+      if (.not. allocated(entries(at)%key)) cycle
       place = find_key(keys, entries(at)%group, entries(at)%key)
       if (place == 0) then
         meant(at) = meant_key(keys, entries(at))
@@ -93,9 +86,9 @@ contains
   end subroutine read_settings
 
   !> Reports unknown and repeated groups.
-  subroutine check_groups(keys, groups, problems)
+  subroutine check_groups(keys, entries, problems)
     type(key_type), intent(in) :: keys(:)
-    type(group_type), intent(in) :: groups(:)
+    type(entry_type), intent(in) :: entries(:)
     type(findings_type), intent(inout) :: problems
     type(string_type), allocatable :: names(:)
     !> Line in which each group is first; 0: none.
@@ -104,20 +97,22 @@ contains
 
     names = distinct_names(keys%group)
     allocate (first_line(size(names)), source=0)
-    do at = 1, size(groups)
-      do name = 1, size(names)
-        if (names(name)%text == groups(at)%name) exit
-      end do
-      if (name > size(names)) then
-        call add_finding(problems, finding_of(groups(at)%line, 'there is no such group' &
-          //suggestion('&', closest_word(groups(at)%name, names)), '&'//join(names, ', &'), &
-          groups(at)%name))
-      else if (first_line(name) > 0) then
-        call add_finding(problems, finding_of(groups(at)%line, 'is given again', 'once (line ' &
-          //to_text(first_line(name))//')', groups(at)%name))
-      else
-        first_line(name) = groups(at)%line
-      end if
+    do at = 1, size(entries)
+      if (allocated(entries(at)%key)) cycle
+      associate (line => entries(at)%line, group => entries(at)%group)
+        do name = 1, size(names)
+          if (names(name)%text == group) exit
+        end do
+        if (name > size(names)) then
+          call add_finding(problems, finding_of(line, 'there is no such group'//suggestion('&', &
+            closest_word(group, names)), '&'//join(names, ', &'), group))
+        else if (first_line(name) > 0) then
+          call add_finding(problems, finding_of(line, 'is given again', 'once (line ' &
+            //to_text(first_line(name))//')', group))
+        else
+          first_line(name) = line
+        end if
+      end associate
     end do
   end subroutine check_groups
 
@@ -384,48 +379,30 @@ contains
     if (place == 0) error stop 'a key is not declared'
   end function find_setting
 
-  !> Gets the value of a key with a single value.
-  pure subroutine get_one_value(settings, group, name, value)
+  !> Gets the value of a key, of several the first.
+  pure subroutine get_value(settings, group, name, value)
     type(settings_type), intent(in) :: settings
+    !> Group and name of the key.
     character(len=*), intent(in) :: group, name
+    !> Value of the key; if it has none, `value` does not change.
     class(*), intent(inout) :: value
-
-    call get_value_at(settings%all(find_setting(settings, group, name)), 1, value)
-  end subroutine get_one_value
-
-  !> Copies both values of a key of two numbers to `value`: a single number
-  !> stands for both.
-  pure subroutine get_two_values(settings, group, name, value)
-    type(settings_type), intent(in) :: settings
-    character(len=*), intent(in) :: group, name
-    class(*), intent(inout) :: value(2)
 
     associate (setting => settings%all(find_setting(settings, group, name)))
-      call get_value_at(setting, 1, value(1))
-      call get_value_at(setting, size(setting%integers) + size(setting%reals), value(2))
+      if (.not. setting%known) return
+      select type (value)
+      type is (integer(int32))
+        value = int(setting%integers(1))
+      type is (integer(int64))
+        value = setting%integers(1)
+      type is (real(wp))
+        value = setting%reals(1)
+      type is (logical)
+        value = setting%flag
+      class default
+        error stop 'no key has a value of this type'
+      end select
     end associate
-  end subroutine get_two_values
-
-  !> Gets value number `at` of a setting.
-  pure subroutine get_value_at(setting, at, value)
-    type(setting_type), intent(in) :: setting
-    integer, intent(in) :: at
-    class(*), intent(inout) :: value
-
-    if (.not. setting%known) return
-    select type (value)
-    type is (integer(int32))
-      value = int(setting%integers(at))
-    type is (integer(int64))
-      value = setting%integers(at)
-    type is (real(wp))
-      value = setting%reals(at)
-    type is (logical)
-      value = setting%flag
-    class default
-      error stop 'no key has a value of this type'
-    end select
-  end subroutine get_value_at
+  end subroutine get_value
 
   !> Gets all values of a key of numbers.
   pure subroutine get_list(settings, group, name, value)

@@ -9,7 +9,7 @@ module battery_bounds
   use battery_table, only: table_type, area, perimeter, longest_run
   implicit none (type, external)
   private
-  public :: bounds_type, bounds_text, can_count_hits, of_powers, of_lengths, of_widths, of_times, &
+  public :: bounds_text, can_count_hits, of_powers, of_lengths, of_widths, of_times, &
     of_clocks
 
   !> Least ratio of any length to the longest: 4096 steps of the coordinates.
@@ -26,20 +26,16 @@ module battery_bounds
   !> of points.
   integer, parameter :: of_powers = 1, of_lengths = 2, of_widths = 3, of_times = 4, of_clocks = 5
 
-  !> Least and greatest value of a number, and the reason.
-  type :: bounds_type
-    real(wp) :: least = 0.0_wp, most = 0.0_wp
-    integer :: reason = of_powers
-  end type bounds_type
-
 contains
 
   !> Text for messages: the bounds, and the reason for them.
-  pure function bounds_text(bounds) result(text)
-    type(bounds_type), intent(in) :: bounds
+  pure function bounds_text(least, most, reason) result(text)
+    !> Least and greatest value of a number, and the reason.
+    real(wp), intent(in) :: least, most
+    integer, intent(in) :: reason
     character(len=:), allocatable :: text
 
-    select case (bounds%reason)
+    select case (reason)
     case (of_lengths)
       text = 'so that '//to_text(finest) &
         //' of the longest of urn_radius and the channels'' lengths is no longer than the shortest'
@@ -54,7 +50,7 @@ contains
     case default
       text = 'whose fourth powers are finite'
     end select
-    text = 'from '//to_text(bounds%least)//' to '//to_text(bounds%most)//', '//text
+    text = 'from '//to_text(least)//' to '//to_text(most)//', '//text
   end function bounds_text
 
   !> Whether the wall hits of `number` particles in the time `duration` (0: not known), including

@@ -8,7 +8,6 @@ module battery_input_files
   use battery_files, only: is_writable, file_exists
   use battery_paths, only: is_folder, is_pipe_or_device, same_file, folder_of, real_folder_of, &
     follow_links
-  use battery_settings, only: settings_type
   use battery_foreign_bytes, only: is_results_file
   use battery_namelist_input, only: check_bytes, fill_plan, set_input_error
   use battery_initial_state, only: parse_particles, are_inside
@@ -32,7 +31,6 @@ contains
     !> All problems, one per line; code `exit_bad_input`.
     type(error_type), allocatable, intent(out) :: error
     character(len=:), allocatable :: text
-    type(settings_type) :: settings
 
     call read_input(file, longest_namelist, text, error)
     ! Of a file that is too long the first bytes are there.
@@ -42,9 +40,9 @@ contains
       if (error%code == exit_failure) error%code = exit_bad_input
       return
     end if
-    call fill_plan(text, file, settings, plan)
+    call fill_plan(text, file, plan)
     call check_files(plan)
-    call set_input_error(plan, settings, error)
+    call set_input_error(plan, error)
     call use_initial_file(plan, error)
   end subroutine read_namelist
 

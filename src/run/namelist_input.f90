@@ -27,12 +27,10 @@ contains
     type(plan_type), intent(out) :: plan
     !> All problems, one per line; code `exit_bad_input`.
     type(error_type), allocatable, intent(out) :: error
-    type(settings_type) :: settings
 
     call check_bytes(text, name, error)
-    if (allocated(error)) return
-    call fill_plan(text, name, settings, plan)
-    call set_input_error(plan, settings, error)
+    call fill_plan(text, name, plan)
+    if (.not. allocated(error)) call set_input_error(plan, error)
   end subroutine parse_namelist
 
   !> Checks that a text may be a namelist: what is read into other bytes is not reported.
@@ -52,20 +50,19 @@ contains
   end subroutine check_bytes
 
   !> Parses a text, sets the components of a plan, and checks the plan. Problems of the text are
-  !> stored in the settings, those of the values in the plan.
-  subroutine fill_plan(text, name, settings, plan)
+  !> stored in its settings, those of the values in the plan.
+  subroutine fill_plan(text, name, plan)
     !> Text of the whole namelist, and the name of its file.
     character(len=*), intent(in) :: text, name
-    type(settings_type), intent(out) :: settings
     type(plan_type), intent(out) :: plan
 
-    call read_settings(text, all_keys(), settings)
+    call read_settings(text, all_keys(), plan%settings)
     plan%text = text
     plan%input_file = name
     allocate (plan%scanned(0), plan%problems(0))
-    call fill_values(settings, plan)
-    call fill_points(settings, plan)
-    call check_combinations(settings, plan)
+    call fill_values(plan%settings, plan)
+    call fill_points(plan%settings, plan)
+    call check_combinations(plan%settings, plan)
     call complete_plan(plan)
   end subroutine fill_plan
 
@@ -161,13 +158,13 @@ contains
       associate (key => settings%all(at)%key)
         if (key%place == 0 .or. key%is_range) cycle
         if (key%group /= 'scan') then
-          associate (values => plan%base%of(key%place))
-            values%known = settings%all(at)%known
-            if (key%kind == whole_key) then
-              call get_value(settings, trim(key%group), trim(key%name), values%whole)
-            else
-              call get_value(settings, trim(key%group), trim(key%name), values%real)
-            end if
+          ! One number is the value of both.
+          associate (values => plan%base%of(key%place), setting => settings%all(at))
+            values%known = setting%known
+            if (values%known .and. key%kind == whole_key) &
+              values%whole = setting%integers([1, size(setting%integers)])
+            if (values%known .and. key%kind /= whole_key) &
+              values%real = setting%reals([1, size(setting%reals)])
           end associate
           cycle
         end if
@@ -178,17 +175,16 @@ contains
         one%is_whole = key%kind == whole_key
         one%first = merge(2, 1, key%is_second)
         last = size(plan%scanned)
-        if (last > 0 .and. key%is_second) then
-          if (plan%scanned(last)%place == key%place) then
-            if (size(one%values) == size(plan%scanned(last)%values)) then
-              plan%scanned(last)%second = one%values
-            else
-              call refuse_key(plan, one%key, 'has '//to_text(size(one%values))//' values', &
-                to_text(size(plan%scanned(last)%values))//', one for each of ' &
-                //plan%scanned(last)%key)
-            end if
+        one%is_paired = last > 0 .and. key%is_second
+        if (one%is_paired) one%is_paired = plan%scanned(last)%place == key%place
+        if (one%is_paired) then
+          if (size(one%values) /= size(plan%scanned(last)%values)) then
+            call refuse_key(plan, one%key, 'has '//to_text(size(one%values))//' values', &
+              to_text(size(plan%scanned(last)%values))//', one for each of ' &
+              //plan%scanned(last)%key)
             cycle
           end if
+          plan%scanned(last)%last = 1
         end if
         plan%scanned = [plan%scanned, one]
       end associate
@@ -303,15 +299,14 @@ contains
   end subroutine check_combinations
 
   !> Adds a problem of the plan to the settings, at the line of its key.
-  subroutine add_problem(settings, plan, problem)
-    type(settings_type), intent(inout) :: settings
-    type(plan_type), intent(in) :: plan
+  subroutine add_problem(plan, problem)
+    type(plan_type), intent(inout) :: plan
     type(finding_type), intent(in) :: problem
     type(finding_type) :: placed
     logical, allocatable :: refused(:)
     integer :: place, next
 
-    associate (all => settings%all)
+    associate (all => plan%settings%all)
       ! A key comes before its list in &scan, and a list before its range.
       place = findloc(all%key%name == problem%key, .true., dim=1, back=problem%scanned)
       next = min(place + 1, size(all))
@@ -327,15 +322,14 @@ contains
       placed%group = trim(all(place)%key%group)
       placed%key = trim(all(place)%key%name)
       placed%allowed = problem%allowed//points_text(plan, problem)
-      call add_finding(settings%problems, placed)
+      call add_finding(plan%settings%problems, placed)
     end associate
   end subroutine add_problem
 
   !> Makes one error from all problems, in the order of the lines; none if there are none. If
   !> several problems belong to points of the scan, the first line has the number of invalid points.
-  subroutine set_input_error(plan, settings, error)
-    type(plan_type), intent(in) :: plan
-    type(settings_type), intent(inout) :: settings
+  subroutine set_input_error(plan, error)
+    type(plan_type), intent(inout) :: plan
     !> Code `exit_bad_input`.
     type(error_type), allocatable, intent(out) :: error
     character(len=:), allocatable :: text
@@ -345,33 +339,32 @@ contains
       text = to_text(plan%of_points%points)//' of '//to_text(plan%checked_points) &
         //' points of the scan cannot be simulated'
       if (plan%of_points%more_values) text = text//'; the first of them:'
-      call add_finding(settings%problems, finding_of(0, text))
+      call add_finding(plan%settings%problems, finding_of(0, text))
     end if
     do at = 1, size(plan%problems)
-      call add_problem(settings, plan, plan%problems(at))
+      call add_problem(plan, plan%problems(at))
     end do
-    if (settings%problems%count > 0) &
-      call fatal_error(error, findings_text(settings%problems, plan%input_file), exit_bad_input)
+    if (plan%settings%problems%count > 0) call fatal_error(error, &
+      findings_text(plan%settings%problems, plan%input_file), exit_bad_input)
   end subroutine set_input_error
 
   !> Keys in which two inputs differ, one per line with both values; empty if they describe the same
   !> run. Notation, defaults, limits and the name of the output file make no difference.
   function differing_keys(old, new) result(text)
-    !> Texts of two namelists without errors.
-    character(len=*), intent(in) :: old, new
+    !> The settings of two plans.
+    type(settings_type), intent(in) :: old, new
     character(len=:), allocatable :: text
-    type(settings_type) :: before, now
     integer :: at
 
-    call read_settings(old, all_keys(), before)
-    call read_settings(new, all_keys(), now)
     text = ''
-    do at = 1, size(now%all)
-      if (.not. now%all(at)%key%changes_results) cycle
-      if (before%all(at)%canonical == now%all(at)%canonical) cycle
-      if (text /= '') text = text//new_line_character
-      text = text//'&'//trim(now%all(at)%key%group)//' '//trim(now%all(at)%key%name)//': was ' &
-        //value_text(before%all(at)%canonical)//', is '//value_text(now%all(at)%canonical)
+    do at = 1, size(new%all)
+      associate (key => new%all(at)%key, before => old%all(at)%canonical, &
+        now => new%all(at)%canonical)
+        if (before == now .or. .not. key%changes_results) cycle
+        if (text /= '') text = text//new_line_character
+        text = text//'&'//trim(key%group)//' '//trim(key%name)//': was '//value_text(before) &
+          //', is '//value_text(now)
+      end associate
     end do
   end function differing_keys
 

@@ -53,7 +53,8 @@ contains
     do urn = 1, 2
       if (allocated(plan%outline(urn)%corner)) call check_outline(plan, urn)
     end do
-    if (size(plan%problems) > before) return
+    ! If the corners of urn 1 alone were refused when they were parsed, there are none.
+    if (size(plan%problems) > before .or. .not. allocated(plan%outline(1)%corner)) return
     if (.not. allocated(plan%outline(2)%corner)) plan%outline(2) = plan%outline(1)
     do urn = 1, 2
       plan%base%of(key_radius)%real(urn) = 0.5_wp*extent_of(plan%outline(urn)%corner)

@@ -20,6 +20,7 @@ module battery_plan
     of_state
   use battery_keys, only: scannable, key_threshold, key_threshold_fraction, key_number, key_width, &
     key_length, key_radius, key_urn1_fraction
+  use battery_settings, only: settings_type
   use battery_text, only: to_text
   implicit none (type, external)
   private
@@ -66,19 +67,20 @@ module battery_plan
   !> A key that is scanned, and its values; whole numbers as reals.
   type :: scanned_type
     character(len=:), allocatable :: key
-    !> Its place, whether it has whole numbers, and the first value that it sets: 2 if it is for
-    !> gate 2 or urn 2 alone.
-    integer :: place = 0, first = 1
+    !> Its place, and the first and the last of the two values there that it sets: a list for gate 2
+    !> or urn 2 only the second, the list that it forms pairs with only the first.
+    integer :: place = 0, first = 1, last = 2
     logical :: is_whole = .false.
+    !> Whether its values form pairs with those of the key before it.
+    logical :: is_paired = .false.
     real(wp), allocatable :: values(:)
-    !> Values for gate 2 or urn 2 if they form pairs; not allocated: the same values.
-    real(wp), allocatable :: second(:)
   end type scanned_type
 
   !> The plan. Components are named like the keys of the namelist; the unit of length is free.
   type, extends(run_type) :: plan_type
-    !> Text of the whole namelist, and the name of its file.
+    !> Text of the whole namelist, the name of its file, and the keys that it sets.
     character(len=:), allocatable :: text, input_file
+    type(settings_type) :: settings
     character(len=:), allocatable :: shape, urn_shape
     !> Number of sides of urns that are regular polygons; outline of each urn that is given by its
     !> corners, in a frame of its own with x towards channel 1.
@@ -158,10 +160,7 @@ contains
 
     yes = .false.
     do at = 1, size(plan%scanned)
-      associate (scanned => plan%scanned(at))
-        yes = yes .or. scanned%key == key .or. (scanned%key//'2' == key .and. &
-          allocated(scanned%second))
-      end associate
+      yes = yes .or. plan%scanned(at)%key == key
     end do
   end function is_scanned
 
@@ -176,8 +175,6 @@ contains
     allocate (values(0))
     do at = 1, size(plan%scanned)
       if (plan%scanned(at)%key == key) values = plan%scanned(at)%values
-      if (plan%scanned(at)%key//'2' == key .and. allocated(plan%scanned(at)%second)) &
-        values = plan%scanned(at)%second
     end do
   end function values_of
 
@@ -187,14 +184,19 @@ contains
     type(plan_type), intent(in) :: plan
     integer, intent(in) :: number
     type(values_type) :: of(scannable)
-    integer :: list, left, values, k
+    integer :: at(size(plan%scanned)), k
 
     of = plan%base%of
-    left = number - 1
-    do list = size(plan%scanned), 1, -1
-      values = size(plan%scanned(list)%values)
-      call set_values(of(plan%scanned(list)%place), plan%scanned(list), 1 + mod(left, values))
-      left = left/values
+    at = places_at(plan, number)
+    do k = 1, size(at)
+      associate (one => plan%scanned(k), value => plan%scanned(k)%values(at(k)))
+        of(one%place)%known = .true.
+        if (one%is_whole) then
+          of(one%place)%whole(one%first:one%last) = nint(value, int64)
+        else
+          of(one%place)%real(one%first:one%last) = value
+        end if
+      end associate
     end do
     point%number = int(of(key_number)%whole(1))
     point%threshold = int(of(key_threshold)%whole)
@@ -215,22 +217,18 @@ contains
     end if
   end function point_of
 
-  !> Sets the values of a key to those numbered `at` of its scan.
-  pure subroutine set_values(values, scanned, at)
-    type(values_type), intent(inout) :: values
-    type(scanned_type), intent(in) :: scanned
-    integer, intent(in) :: at
-    real(wp) :: both(2)
+  !> Which of its values each key that is scanned has at point `number`.
+  pure function places_at(plan, number) result(at)
+    type(plan_type), intent(in) :: plan
+    integer, intent(in) :: number
+    integer :: at(size(plan%scanned)), left, k
 
-    both = scanned%values(at)
-    if (allocated(scanned%second)) both(2) = scanned%second(at)
-    values%known = .true.
-    if (scanned%is_whole) then
-      values%whole(scanned%first:) = nint(both(scanned%first:), int64)
-    else
-      values%real(scanned%first:) = both(scanned%first:)
-    end if
-  end subroutine set_values
+    left = number - 1
+    do k = size(at), 1, -1
+      at(k) = 1 + mod(left, size(plan%scanned(k)%values))
+      if (.not. plan%scanned(k)%is_paired) left = left/size(plan%scanned(k)%values)
+    end do
+  end function places_at
 
   !> Text for point `number`: its values of all keys that have several values in the scan.
   pure function point_text(plan, number, but) result(text)
@@ -239,32 +237,17 @@ contains
     !> A key to be left out.
     character(len=*), intent(in) :: but
     character(len=:), allocatable :: text
-    integer :: list, left, values
+    integer :: at(size(plan%scanned)), k
 
     text = ''
-    left = number - 1
-    do list = size(plan%scanned), 1, -1
-      associate (scanned => plan%scanned(list))
-        values = size(scanned%values)
-        if (allocated(scanned%second)) call prepend_value(text, scanned%key//'2', scanned%second)
-        call prepend_value(text, scanned%key, scanned%values)
+    at = places_at(plan, number)
+    do k = 1, size(at)
+      associate (one => plan%scanned(k))
+        if (size(one%values) == 1 .or. one%key == but) cycle
+        if (text /= '') text = text//', '
+        text = text//one%key//' = '//to_text(one%values(at(k)))
       end associate
-      left = left/values
     end do
-
-  contains
-
-    !> Puts the value that `key` has at this point of the scan before `text`, if it is scanned.
-    pure subroutine prepend_value(text, key, all)
-      character(len=:), allocatable, intent(inout) :: text
-      character(len=*), intent(in) :: key
-      real(wp), intent(in) :: all(:)
-
-      if (size(all) == 1 .or. key == but) return
-      if (text /= '') text = ', '//text
-      text = key//' = '//to_text(all(1 + mod(left, size(all))))//text
-    end subroutine prepend_value
-
   end function point_text
 
   !> Text for the points of the scan that a finding is about, if it is about some only.

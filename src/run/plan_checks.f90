@@ -12,7 +12,7 @@ submodule (battery_plan) battery_plan_checks
   use battery_findings, only: add_point_findings, reported_findings, of_missing
   use battery_outline_checks, only: check_outlines, check_outline_at, has_outline, &
     has_valid_outlines
-  use battery_bounds, only: bounds_type, bounds_text, can_count_hits, finest, greatest_radius, &
+  use battery_bounds, only: bounds_text, can_count_hits, finest, greatest_radius, &
     of_powers, of_lengths, of_widths, of_times, of_clocks
   implicit none (type, external)
 
@@ -160,7 +160,8 @@ contains
 
     total = plan%replicas
     do at = 1, size(plan%scanned)
-      if (total <= most_tasks) total = total*size(plan%scanned(at)%values)
+      if (total <= most_tasks .and. .not. plan%scanned(at)%is_paired) &
+        total = total*size(plan%scanned(at)%values)
     end do
   end function task_total
 
@@ -169,6 +170,7 @@ contains
   subroutine check_repeats(plan)
     type(plan_type), intent(inout) :: plan
     real(wp), allocatable :: values(:), numbers(:), widths(:)
+    integer, allocatable :: rank(:)
     integer :: at, k, again
 
     numbers = values_of(plan, 'number')
@@ -178,11 +180,16 @@ contains
     widths = values_of(plan, 'channel2_width')
     if (size(widths) == 0) widths = plan%base%of(key_width(channel2))%real(:1)
     do at = 1, size(plan%scanned)
+      if (plan%scanned(at)%is_paired) cycle
       values = plan%scanned(at)%values
-      again = first_repeat(values, plan%scanned(at)%second)
+      rank = ranks_of(values)
+      ! The second values of pairs are those of the next key.
+      if (plan%scanned(at)%last == 1) rank = ranks_of(real(rank, wp)*size(rank) &
+        + ranks_of(plan%scanned(at + 1)%values))
+      again = first_repeat(rank)
       if (index(plan%scanned(at)%key, '_fraction') > 0 .and. again == 0) then
         do k = 1, size(numbers)
-          again = first_repeat(real(rounded(values*numbers(k)), wp))
+          again = first_repeat(ranks_of(real(rounded(values*numbers(k)), wp)))
           if (again > 0) exit
         end do
       end if
@@ -194,20 +201,13 @@ contains
   end subroutine check_repeats
 
   !> Place of the first value, or pair of values, that repeats an earlier one; 0 if there is none.
-  integer function first_repeat(values, second) result(place)
-    !> The list, or the first values of the pairs.
-    real(wp), intent(in) :: values(:)
-    !> The second values of the pairs.
-    real(wp), allocatable, intent(in), optional :: second(:)
-    integer :: rank(size(values))
-    logical :: seen(size(values))
+  pure integer function first_repeat(rank) result(place)
+    !> Ranks of the values, from `ranks_of`.
+    integer, intent(in) :: rank(:)
+    logical :: seen(size(rank))
 
-    rank = ranks_of(values)
-    if (present(second)) then
-      if (allocated(second)) rank = ranks_of(real(rank, wp)*size(values) + ranks_of(second))
-    end if
     seen = .false.
-    do place = 1, size(values)
+    do place = 1, size(rank)
       if (seen(rank(place))) return
       seen(rank(place)) = .true.
     end do
@@ -347,8 +347,8 @@ contains
 
     before = size(plan%problems)
     size_key = merge('urn_vertices', 'urn_radius  ', has_outline(plan))
-    call check_range(plan, trim(size_key), radii(1), bounds_type(1.0_wp/greatest_radius, &
-      greatest_radius, of_powers))
+    call check_range(plan, trim(size_key), radii(1), 1.0_wp/greatest_radius, greatest_radius, &
+      of_powers)
     if (size(plan%problems) > before) return
     call check_beside(trim(size_key), radii(2), longest)
     call check_beside('channel1_length', point%channel(channel1)%length, open_length(point))
@@ -366,8 +366,7 @@ contains
       character(len=*), intent(in) :: key
       real(wp), intent(in) :: length, other
 
-      call check_range(plan, key, length, bounds_type(finest*max(radii(1), other), &
-        radii(1)/finest, of_lengths))
+      call check_range(plan, key, length, finest*max(radii(1), other), radii(1)/finest, of_lengths)
     end subroutine check_beside
 
     !> Checks a width: close to the diameter, the remaining arcs and area lose their digits as well.
@@ -379,8 +378,8 @@ contains
         call refuse_value(plan, key, to_text(width), &
           'below 2 urn_radius, which is '//to_text(2.0_wp*radii(1)))
       else if (width > 0.0_wp) then
-        call check_range(plan, key, width, bounds_type(finest*max(radii(2), longest), &
-          (2.0_wp - finest)*radii(1), of_widths))
+        call check_range(plan, key, width, finest*max(radii(2), longest), &
+          (2.0_wp - finest)*radii(1), of_widths)
       end if
     end subroutine check_width
 
@@ -392,15 +391,13 @@ contains
     type(plan_type), intent(inout) :: plan
     !> The least radius, and the longest length of the table.
     real(wp), intent(in) :: radius, longest
-    type(bounds_type) :: clock
 
     call check_time('duration', plan%duration)
     call check_time('series_interval', plan%series_interval)
     call check_time('time_step', plan%time_step)
-    clock = bounds_type(0.0_wp, longest_run*radius, of_clocks)
-    call check_range(plan, 'start_time', plan%start_time, clock)
+    call check_range(plan, 'start_time', plan%start_time, 0.0_wp, longest_run*radius, of_clocks)
     if (size(plan%snapshot_times) > 0) call check_range(plan, 'snapshot_times', &
-      maxval(plan%snapshot_times), clock)
+      maxval(plan%snapshot_times), 0.0_wp, longest_run*radius, of_clocks)
 
   contains
 
@@ -409,21 +406,22 @@ contains
       character(len=*), intent(in) :: key
       real(wp), intent(in) :: time
 
-      if (time > 0.0_wp) call check_range(plan, key, time, bounds_type(finest*longest, &
-        longest_run*radius, of_times))
+      if (time > 0.0_wp) call check_range(plan, key, time, finest*longest, longest_run*radius, &
+        of_times)
     end subroutine check_time
 
   end subroutine check_times
 
   !> Refuses a value outside its bounds.
-  pure subroutine check_range(plan, key, value, bounds)
+  pure subroutine check_range(plan, key, value, least, most, reason)
     type(plan_type), intent(inout) :: plan
     character(len=*), intent(in) :: key
-    real(wp), intent(in) :: value
-    type(bounds_type), intent(in) :: bounds
+    !> The value, its bounds, and the reason for them.
+    real(wp), intent(in) :: value, least, most
+    integer, intent(in) :: reason
 
-    if (.not. (value >= bounds%least .and. value <= bounds%most)) &
-      call refuse_value(plan, key, to_text(value), bounds_text(bounds))
+    if (.not. (value >= least .and. value <= most)) &
+      call refuse_value(plan, key, to_text(value), bounds_text(least, most, reason))
   end subroutine check_range
 
   !> Length of channel 2, or 0 if it is closed.

@@ -48,8 +48,9 @@ contains
     if (points(shut) > 0) call add(shut, 'disc '//to_text(shutting_disc(plan, point_of(plan, &
       first(shut))))//' of scatterers reaches from wall to wall: no particle passes channel 2')
     ! A decimal comma separates two numbers.
-    radii = [string_type(to_text(plan%base%of(key_radius)%real(1))), &
-      string_type(to_text(plan%base%of(key_radius)%real(2)))]
+    do at = 1, 2
+      radii(at)%text = to_text(plan%base%of(key_radius)%real(at))
+    end do
     if (plan%shape /= 'urn' .and. radii(1)%text /= radii(2)%text) remarks = [remarks, &
       string_type('urn_radius = '//join(radii, ', ')//' are two radii: '//radii(1)%text &
       //' of urn 1, '//radii(2)%text//' of urn 2')]

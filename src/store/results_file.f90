@@ -174,6 +174,8 @@ contains
     keys = all_keys()
     if (size(results%scanned) > 0) call make_group(file, '/scan', error)
     do k = 1, size(results%scanned)
+      ! The second values of pairs belong to the points of the first.
+      if (results%scanned(k)%is_paired) cycle
       associate (key => keys(find_key(keys, 'scan', results%scanned(k)%key)))
         names = names//' '//trim(key%name)
         call write_scale(file, '/scan/'//trim(key%name), real(results%scanned(k)%values, dp), &
