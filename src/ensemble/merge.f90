@@ -10,7 +10,7 @@ module battery_merge
   use battery_kinds, only: wp, dp, int32, int64
   use battery_clocks, only: utc_now
   use battery_error, only: error_type, fatal_error, exit_bad_input
-  use battery_files, only: has_stamp
+  use battery_files, only: has_stamp, may_open
   use battery_fingerprint, only: fingerprint_text
   use battery_hdf5_attributes, only: write_attribute, write_text_attribute
   use battery_hdf5_file, only: hdf5_file_type, make_group, no_handle
@@ -118,13 +118,22 @@ contains
 
   !> Opens all rank files, so that what is in them now can be read even if a run that is going on
   !> ends and removes them.
-  subroutine open_sources(journal, sources)
+  subroutine open_sources(journal, sources, error)
     type(journal_type), intent(in) :: journal
     !> Sources, to be closed with `close_sources`.
     type(sources_type), intent(out) :: sources
+    !> They are more than this process may open.
+    type(error_type), allocatable, intent(out) :: error
+    !> Other files that may be open at the same time.
+    integer(int64), parameter :: others = 64
     integer :: k
 
     sources%rank_file = rank_files_of(journal)
+    if (may_open(size(sources%rank_file) + others) == 0) then
+      call fatal_error(error, journal%folder//': has '//to_text(size(sources%rank_file)) &
+        //' files to be open at the same time, more than this process may open (ulimit -Hn)')
+      return
+    end if
     allocate (sources%reader(size(sources%rank_file)))
     do k = 1, size(sources%reader)
       call open_records(sources%reader(k), rank_file(journal, sources%rank_file(k)))

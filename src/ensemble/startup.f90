@@ -374,8 +374,9 @@ contains
     end if
     call inspect_journal(plan, .true., journal, found, error)
     if (allocated(error)) return
-    call open_sources(journal, sources)
-    call inspect_results_file(plan, sources%old, complete, damage, error)
+    call open_sources(journal, sources, error)
+    if (.not. allocated(error)) call inspect_results_file(plan, sources%old, complete, damage, &
+      error)
     if (.not. allocated(error)) call collect_results(plan, journal, sources, results, failures, &
       replicas_needed, error)
     if (.not. allocated(error)) then
