@@ -13,7 +13,7 @@ module battery_summary
   use battery_columns, only: whole_text, number_text, duration_text, rate_text
   use battery_terminal, only: print_line
   use battery_command_line, only: ways_to_stop
-  use battery_text, only: string_type, to_text, count_text
+  use battery_text, only: to_text, count_text
   implicit none (type, external)
   private
   public :: print_summary, print_stop
@@ -34,12 +34,10 @@ contains
 
   !> Prints the averages, and the tasks that failed, with reasons; `busy` is the least, mean and
   !> greatest fraction of the time that a rank spent in tasks.
-  subroutine print_summary(plan, results, failures, ranks, busy, seconds, collisions, all_done, &
+  subroutine print_summary(plan, results, ranks, busy, seconds, collisions, all_done, &
       quiet)
     type(plan_type), intent(in) :: plan
     type(results_type), intent(in) :: results
-    !> Reason for which each task failed; not allocated for the others.
-    type(string_type), intent(in) :: failures(:)
     !> Number of ranks.
     integer, intent(in) :: ranks
     !> Least, mean and greatest fraction of time in tasks; duration of the run in seconds.
@@ -52,9 +50,9 @@ contains
     logical :: shown(size(names)), lacking
 
     done = count(results%task_status == task_complete)
-    do task = 1, size(failures)
-      if (allocated(failures(task)%text)) call print_line('task '//to_text(task)//' failed: ' &
-        //failures(task)%text)
+    do task = 1, size(results%failure)
+      if (allocated(results%failure(task)%text)) call print_line('task '//to_text(task) &
+        //' failed: '//results%failure(task)%text)
     end do
     if (quiet) return
     shown = shown_quantities(results)

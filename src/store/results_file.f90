@@ -144,7 +144,7 @@ contains
       point = point_of(file%plan, p)
       do r = 1, file%plan%replicas
         if (results%task_status(r, p) == task_complete) call serialize_slabs(file, file%outputs, &
-          r, p, point%number, output, error)
+          r + (p - 1)*file%plan%replicas, point%number, output, error)
       end do
     end do
     call close_results(file)

@@ -66,8 +66,8 @@ module battery_task_output
     !> Length of the first dimension of each group: greatest number of entries, or of particles, of
     !> any task; number of events. 0: the file has no series, no snapshots, no final states.
     integer :: length(4) = 0
-    !> Number of snapshots.
-    integer, private :: times = 0
+    !> Number of snapshots, and of replicas of a point.
+    integer, private :: times = 0, replicas = 1
     type(dataset_type), private :: dataset(maxval(columns), 4)
   end type output_datasets_type
 
@@ -156,6 +156,7 @@ contains
 
     datasets%length = length
     datasets%times = size(plan%snapshot_times)
+    datasets%replicas = plan%replicas
     scales(2:) = [character(len=19) :: '/snapshots/time', task_dimensions]
     do group = series, events
       if (merge(.not. has_events, length(group) == 0, group == events)) cycle
@@ -213,18 +214,20 @@ contains
 
   !> Writes the output of a task to its hyperslabs of a new file, or reads all but events; then all
   !> tables are allocated. Does nothing after an error.
-  subroutine serialize_slabs(file, datasets, replica, point, number, output, error)
+  subroutine serialize_slabs(file, datasets, task, number, output, error)
     !> File, open, as the datasets in it are.
     class(hdf5_file_type), intent(in) :: file
     type(output_datasets_type), intent(in) :: datasets
-    !> Indices of the task, from 1, and its number of particles.
-    integer, intent(in) :: replica, point, number
+    !> Number of the task in the plan of the file, and its number of particles.
+    integer, intent(in) :: task, number
     !> Output of the task; if it is written, all tables are allocated, at most as long as the
     !> datasets.
     type(task_output_type), intent(inout) :: output
     type(error_type), allocatable, intent(inout) :: error
-    integer :: group, times, rows, k
+    integer :: group, times, rows, replica, point, k
 
+    point = (task - 1)/datasets%replicas + 1
+    replica = task - (point - 1)*datasets%replicas
     do group = series, events
       times = merge(datasets%times, 1, group == snapshots)
       if (.not. file%is_new) then
