@@ -102,7 +102,8 @@ contains
         do at = 1, merge(0, size(remarks), quiet)
           call print_line('remark: '//remarks(at)%text)
         end do
-        call open_journal(plan, communicator%size, sources%first_file, error)
+        call begin_journal(sources%journal_type, plan%text, plan%initial_fingerprint, &
+          communicator%size, error)
         call order_tasks(plan, communicator%size, pending)
       end if
     end subroutine begin_on_rank0
@@ -152,11 +153,8 @@ contains
     !> They are something else, or cannot be removed.
     type(error_type), allocatable, intent(out) :: error
     type(journal_type) :: journal
-    character(len=:), allocatable :: before
-    integer(int64) :: initial_fingerprint
-    logical :: found
 
-    call find_journal(journal, journal_folder(plan), before, initial_fingerprint, found)
+    call find_journal(journal, journal_folder(plan))
     call check_journal(journal, error)
     if (.not. allocated(error)) call check_discardable(plan%file, error)
     if (.not. allocated(error)) call remove_file(plan%file, error)
@@ -181,7 +179,7 @@ contains
     message = ''
     call inspect_results_file(plan, sources%old, progress%complete, damage, error)
     if (.not. allocated(error)) call inspect_journal(plan, progress%complete, &
-      sources%journal_type, found, error)
+      sources%journal_type, error)
     if (.not. allocated(error)) call collect_results(plan, sources, results, error)
     if (allocated(error)) return
     progress%finished = count(results%task_status == task_complete)
@@ -190,7 +188,7 @@ contains
       message = plan%file//' is complete; --overwrite runs it again'
       return
     end if
-    found = found .or. progress%finished > 0
+    found = sources%has_plan .or. progress%finished > 0
     if (allocated(damage)) then
       if (.not. found) then
         call move_alloc(damage, error)
@@ -232,22 +230,6 @@ contains
     if (any(decided)) progress%expected = others*(real(sum(results%replicas_needed, decided), dp) &
       /count(decided) - plan%first_replicas)
   end subroutine estimate_further_tasks
-
-  !> Begins the journal of a start with `ranks` ranks, after `rank_files` rank files of earlier
-  !> starts.
-  subroutine open_journal(plan, ranks, rank_files, error)
-    type(plan_type), intent(in) :: plan
-    integer, intent(in) :: ranks, rank_files
-    type(error_type), allocatable, intent(out) :: error
-
-    if (rank_files > huge(rank_files) - ranks) then
-      call fatal_error(error, journal_folder(plan)//'/rank_'//to_text(rank_files - 1) &
-        //': leaves no number for another file; remove it')
-    else
-      call begin_journal(journal_folder(plan), plan%text, plan%initial_fingerprint, &
-        rank_files + ranks, error)
-    end if
-  end subroutine open_journal
 
   !> Folder of the journal of a plan.
   pure function journal_folder(plan) result(folder)
@@ -339,7 +321,7 @@ contains
     type(results_file_type) :: file
     type(error_type), allocatable :: damage
     character(len=:), allocatable :: unique
-    logical :: complete, found
+    logical :: complete
 
     message = ''
     partial = plan
@@ -351,7 +333,7 @@ contains
         //'replaced; move it away', exit_bad_input)
       return
     end if
-    call inspect_journal(plan, .true., sources%journal_type, found, error)
+    call inspect_journal(plan, .true., sources%journal_type, error)
     if (.not. allocated(error)) call open_sources(sources, error)
     if (.not. allocated(error)) call inspect_results_file(plan, sources%old, complete, damage, &
       error)
@@ -375,25 +357,21 @@ contains
 
   !> Inspects the journal, which must be of this input, or of one that this input extends; if its
   !> plan is damaged, its records must not belong to another input.
-  subroutine inspect_journal(plan, complete, journal, found, error)
+  subroutine inspect_journal(plan, complete, journal, error)
     type(plan_type), intent(in) :: plan
     !> Whether the results file is complete, so that the journal is not needed any more.
     logical, intent(in) :: complete
     type(journal_type), intent(out) :: journal
-    !> Whether there is a journal with a plan.
-    logical, intent(out) :: found
     !> The journal is of another input; code `exit_bad_input`.
     type(error_type), allocatable, intent(out) :: error
-    character(len=:), allocatable :: before
-    integer(int64) :: initial_fingerprint
     integer(int64), allocatable :: task_id(:)
     type(task_index_type) :: task_index
     logical :: same
     integer :: k
 
-    call find_journal(journal, journal_folder(plan), before, initial_fingerprint, found)
-    if (found) then
-      call compare_inputs(plan, before, initial_fingerprint, same, error)
+    call find_journal(journal, journal_folder(plan))
+    if (journal%has_plan) then
+      call compare_inputs(plan, journal%namelist, journal%initial_fingerprint, same, error)
     else if (.not. complete) then
       task_id = task_ids_of(journal)
       if (size(task_id) == 0) return
