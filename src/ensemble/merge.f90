@@ -103,8 +103,8 @@ contains
     call create_results(name, file, error)
     call write_description(file, plan, max(1, sources%ranks), start_date, results, error)
     call write_results(file, results, error)
-    call prepare_outputs(file%hdf5_file_type, plan, sources%length, plan%event_log .and. any( &
-      results%task_status <= task_failed), file%outputs, error)
+    call prepare_outputs(file, plan, sources%length, plan%event_log .and. any( &
+      results%task_status <= task_failed), error)
     call copy_outputs(plan, sources, file, results, error)
     call close_sources(sources)
     call publish_results(name, file, before, error)
@@ -285,7 +285,7 @@ contains
             found%measured%error = before%error(r, p, :)
             found%measured%counted = before%counted(r, p, :)
             found%host = before%host(1 + before%counted(r, p, host_place()))%text
-            call add_result(found, place_type(at=r + (p - 1)*before%replicas), old%outputs%length)
+            call add_result(found, place_type(at=r + (p - 1)*before%replicas), old%length)
           end do
         end do
       end associate
@@ -354,8 +354,8 @@ contains
       if (all(results%task_status(task%replica, task%point) /= [task_complete, task_failed])) cycle
       associate (place => sources%place(k))
         if (place%file == 0) then
-          call serialize_slabs(sources%old, sources%old%outputs, int(place%at), task%number, &
-            found%task_output_type, error)
+          call serialize_slabs(sources%old, int(place%at), task%number, found%task_output_type, &
+            error)
         else
           if (place%file /= open_file) then
             call close_rank_file(sources, open_file)
@@ -369,7 +369,7 @@ contains
         end if
       end associate
       if (allocated(error)) exit
-      call serialize_slabs(file, file%outputs, k, task%number, found%task_output_type, error)
+      call serialize_slabs(file, k, task%number, found%task_output_type, error)
       if (ended_early(found%task_output_type, size(plan%snapshot_times))) &
         results%short_tasks = results%short_tasks + 1
     end do
