@@ -24,7 +24,7 @@ module battery_journal
   use battery_task_result, only: task_result_type, to_record
   use battery_simulation, only: simulation_type, setup_type, serialize_simulation
   use battery_tasks, only: task_type
-  use battery_archive, only: archive_type, new_archive, measuring_archive, archive_of
+  use battery_archive, only: archive_type, new_archive, measuring_archive
   implicit none (type, external)
   private
   public :: journal_type, find_journal, begin_journal, join_journal, rank_file, rank_files_of
@@ -90,7 +90,6 @@ contains
     !> Folder of the journal, which need not be there.
     character(len=*), intent(in) :: folder
     type(record_type) :: record
-    type(archive_type) :: archive
     integer :: files
 
     journal%folder = folder
@@ -98,9 +97,8 @@ contains
     call read_single_record(folder//'/plan', record, journal%has_plan)
     files = 0
     if (journal%has_plan) then
-      archive = archive_of(record%word)
-      call serialize_plan(journal, files, archive)
-      journal%has_plan = .not. archive%failed()
+      call serialize_plan(journal, files, record%archive_type)
+      journal%has_plan = .not. record%failed()
     end if
     journal%first_file = max(files, 1 + maxval([-1, numbers_in(journal%names)]))
   end subroutine find_journal
@@ -162,7 +160,7 @@ contains
     !> Number of ranks of this start.
     integer, intent(in) :: ranks
     type(error_type), allocatable, intent(out) :: error
-    type(archive_type) :: archive
+    type(record_type) :: record
     integer :: files
 
     if (journal%first_file > huge(ranks) - ranks) then
@@ -175,10 +173,11 @@ contains
     journal%namelist = namelist
     journal%initial_fingerprint = initial_fingerprint
     files = journal%first_file + ranks
-    archive = new_archive()
-    call serialize_plan(journal, files, archive)
+    record%archive_type = new_archive()
+    call serialize_plan(journal, files, record%archive_type)
+    record%word = record%word(:record%length)
     associate (plan => journal%folder//'/plan')
-      call write_single_record(plan//'.new', record_type(word=archive%word(:archive%length)), error)
+      call write_single_record(plan//'.new', record, error)
       if (.not. allocated(error)) call publish_file(plan//'.new', plan, error)
     end associate
   end subroutine begin_journal
@@ -267,7 +266,6 @@ contains
     !> Processor time spent on the task so far.
     real(dp), intent(in) :: cpu_seconds
     type(error_type), allocatable, intent(out) :: error
-    type(archive_type) :: archive
     type(record_type) :: record
     real(dp) :: seconds
     character(len=:), allocatable :: name
@@ -275,18 +273,16 @@ contains
     call check_lock(journal, error)
     if (allocated(error)) return
     seconds = cpu_seconds
-    ! The length is measured first, and the archive moved then: there is only one copy of a large
-    ! state.
-    archive = measuring_archive()
-    call serialize_state(simulation, simulation%setup, seconds, archive, error)
+    ! The length is measured first: there is only one copy of a large state.
+    record%archive_type = measuring_archive()
+    call serialize_state(simulation, simulation%setup, seconds, record%archive_type, error)
     if (allocated(error)) return
-    archive = new_archive(archive%length)
-    call serialize_state(simulation, simulation%setup, seconds, archive, error)
+    record%archive_type = new_archive(record%length)
+    call serialize_state(simulation, simulation%setup, seconds, record%archive_type, error)
     if (allocated(error)) return
     record%owner = task%task_id
     journal%generation = journal%generation + 1
     record%generation = journal%generation
-    call move_alloc(archive%word, record%word)
     name = state_file(journal, task%task_id)//generations(2 - mod(journal%generation, 2_int64))
     call write_single_record(name, record, error)
     if (.not. allocated(error)) call sync_file(name, error)
@@ -315,7 +311,6 @@ contains
     logical, intent(out) :: found
     type(error_type), allocatable, intent(out) :: error
     type(record_type) :: state(2)
-    type(archive_type) :: archive
     integer :: k, newer
 
     cpu_seconds = 0.0_dp
@@ -329,10 +324,8 @@ contains
     found = journal%generation > 0
     if (.not. found) return
     state(3 - newer) = record_type()
-    archive = archive_of(state(newer)%word)
-    state(newer) = record_type()
-    call serialize_state(simulation, task%setup, cpu_seconds, archive, error)
-    if (.not. archive%failed()) return
+    call serialize_state(simulation, task%setup, cpu_seconds, state(newer)%archive_type, error)
+    if (.not. state(newer)%failed()) return
     ! A state of another format stays until this task saves a state.
     deallocate (error)
     found = .false.
