@@ -93,12 +93,20 @@ contains
     type(task_type) :: task
     integer :: k
 
-    call drop_unwanted_replicas(results)
     do k = 1, task_count(plan)
       task = task_of(plan, k)
-      results%point(task%point) = point_of(plan, task%point)
-      results%point(task%point)%urn_radius = task%setup%table%urn%radius
-      results%seed(task%replica, task%point) = task%setup%seed
+      associate (p => task%point, r => task%replica)
+        results%point(p) = point_of(plan, p)
+        results%point(p)%urn_radius = task%setup%table%urn%radius
+        results%seed(r, p) = task%setup%seed
+        if (r <= results%replicas_needed(p)) cycle
+        ! An earlier run may have needed more replicas than a point needs whose number is decided.
+        if (results%point_status(p) == point_undecided) cycle
+        results%task_status(r, p) = task_not_asked
+        results%average(r, p, :) = unknown_real()
+        results%error(r, p, :) = unknown_real()
+        results%counted(r, p, :) = unknown_count
+      end associate
     end do
     call create_results(name, file, error)
     call write_description(file, plan, max(1, sources%ranks), start_date, results, error)
@@ -375,23 +383,6 @@ contains
     end do
     call close_rank_file(sources, open_file)
   end subroutine copy_outputs
-
-  !> Removes replicas beyond the number that their point needs: an earlier run may have needed more.
-  subroutine drop_unwanted_replicas(results)
-    type(results_type), intent(inout) :: results
-    integer :: p
-
-    if (.not. allocated(results%point_status)) return
-    do p = 1, size(results%replicas_needed)
-      if (results%point_status(p) == point_undecided) cycle
-      associate (n => results%replicas_needed(p) + 1)
-        results%task_status(n:, p) = task_not_asked
-        results%average(n:, p, :) = unknown_real()
-        results%error(n:, p, :) = unknown_real()
-        results%counted(n:, p, :) = unknown_count
-      end associate
-    end do
-  end subroutine drop_unwanted_replicas
 
   !> Index of a text in a list, from 0; the text is added if the list does not have it.
   integer(int64) function index_in_list(text, list) result(place)
