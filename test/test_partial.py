@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import resource
 import shutil
 import signal
 from concurrent.futures import ThreadPoolExecutor
@@ -114,6 +115,35 @@ def test_two_at_once_while_a_run_overwrites_and_ends(tmp_path: Path, whole: Path
     assert len(counts) > 1
     assert_same(tmp_path / "out.h5", whole)
     assert sorted(path.name for path in tmp_path.glob("*.partial*")) == [PARTIAL]
+
+
+@pytest.mark.parametrize("limit", [(32, 512), (64, 64)])
+def test_more_rank_files_than_may_be_open(
+    tmp_path: Path, whole: Path, limit: tuple[int, int]
+) -> None:
+    """The limit is raised where that is allowed; otherwise no file is left out silently."""
+    write(tmp_path)
+    process = start("case.nml", folder=tmp_path)
+    journal = tmp_path / "out.h5.tasks"
+    assert wait_for(lambda: any(one.stat().st_size for one in journal.glob("rank_*")), process)
+    send([process.pid], signal.SIGKILL)
+    finish(process)
+    results = (journal / "rank_0").read_bytes()
+    for rank in range(101):
+        (journal / f"rank_{rank}").write_bytes(b"")
+    # The one with results is opened last.
+    last = list(journal.glob("rank_*"))[-1]
+    last.write_bytes(results)
+    ended = run(
+        "--partial", "case.nml", folder=tmp_path,
+        prepare=lambda: resource.setrlimit(resource.RLIMIT_NOFILE, limit),
+    )  # fmt: skip
+    if limit[1] > 100:
+        assert ended.returncode == 0, ended.stderr
+        assert check_true(tmp_path / PARTIAL, whole) > 0
+    else:
+        assert (ended.returncode, "101 files" in ended.stderr) == (1, True), ended.stderr
+        assert not (tmp_path / PARTIAL).exists()
 
 
 @pytest.mark.parametrize("there", ["text", "another input"])

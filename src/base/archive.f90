@@ -49,6 +49,8 @@ module battery_archive
     !> is checked on reading. Up to four lists of reals may be passed in one call, each after its
     !> name.
     generic :: serialize_list => serialize_int32_list, serialize_real_list
+    !> Begins to read an archive whose words were set.
+    procedure :: begin_reading
     !> Whether a component read from the archive differed in name, kind or size from the one asked
     !> for.
     procedure :: failed
@@ -85,17 +87,24 @@ contains
     !> `word(:length)` of the archive that was written.
     integer(int64), intent(in) :: word(:)
 
-    archive%reading = .true.
     archive%word = word
-    archive%length = 2
-    if (size(word) < 2) then
-      archive%problem = 'the state is empty'
-    else if (word(1) /= format_number) then
-      archive%problem = 'the state is of another format'
-    else if (word(2) /= storage_size(1.0_wp)) then
-      archive%problem = 'the state is of another precision'
-    end if
+    call archive%begin_reading()
   end function archive_of
+
+  !> Begins to read an archive whose words were set.
+  pure subroutine begin_reading(self)
+    class(archive_type), intent(inout) :: self
+
+    self%reading = .true.
+    self%length = 2
+    if (size(self%word) < 2) then
+      self%problem = 'the state is empty'
+    else if (self%word(1) /= format_number) then
+      self%problem = 'the state is of another format'
+    else if (self%word(2) /= storage_size(1.0_wp)) then
+      self%problem = 'the state is of another precision'
+    end if
+  end subroutine begin_reading
 
   !> Whether a component read from the archive differed in name, kind or size from the one asked
   !> for.

@@ -11,7 +11,7 @@ module battery_ensemble
     close_task_queue, read_counter, share_error, share_text, mean_over_ranks, tasks_finished, &
     tasks_failed, collisions_done, sleep_until_all
   use battery_error, only: error_type, fatal_error, exit_success, exit_failure, exit_stopped_early
-  use battery_journal, only: journal_type, check_lock, remove_journal
+  use battery_journal, only: check_lock, remove_journal
   use battery_launcher, only: launcher_hint
   use battery_merge, only: merge_results, sources_type, close_sources
   use battery_lock_file, only: lock_type, acquire_lock, release_lock
@@ -20,7 +20,6 @@ module battery_ensemble
   use battery_results, only: results_type, all_tasks_complete
   use battery_signals, only: request_stop_after, signal_received
   use battery_summary, only: print_summary, print_stop
-  use battery_text, only: string_type
   use battery_task_loop, only: monitor_type, run_tasks
   implicit none (type, external)
   private
@@ -39,7 +38,6 @@ contains
     type(error_type), allocatable, intent(out) :: error
     type(lock_type) :: lock
     integer, allocatable :: pending(:)
-    type(journal_type) :: journal
     type(sources_type) :: sources
     type(task_queue_type) :: task_queue
     type(monitor_type) :: monitor
@@ -66,27 +64,27 @@ contains
     start_date = utc_now()
     if (plan%checkpoint_minutes > 0.0_dp) &
       monitor%checkpoint_interval = 60.0_dp*real(plan%checkpoint_minutes, dp)
-    call find_pending_tasks(plan, communicator, overwrite, quiet, journal, sources, pending, &
-      complete, error)
+    call find_pending_tasks(plan, communicator, overwrite, quiet, sources, pending, complete, &
+      error)
     if (complete .and. .not. allocated(error)) exit_code = exit_success
     goes_on = .not. (complete .or. allocated(error))
-    journal%lock = lock
+    sources%lock = lock
     collisions = 0
     ! Results may ask for more replicas, until nothing is pending.
     do while (goes_on)
       call open_task_queue(task_queue, communicator, pending, error)
       if (allocated(error)) exit
-      call run_tasks(plan, journal, task_queue, monitor, quiet, error)
+      call run_tasks(plan, sources%journal_type, task_queue, monitor, quiet, error)
       call share_error(communicator, error)
       goes_on = .not. allocated(error) .and. any(plan%precision > 0.0_wp) .and. task_queue%tasks &
         > 0 .and. read_counter(task_queue, tasks_finished) >= task_queue%tasks &
         .and. read_counter(task_queue, tasks_failed) == 0
       if (.not. allocated(error)) collisions = collisions + read_counter(task_queue, &
         collisions_done)
-      if (.not. (goes_on .or. allocated(error))) call finish_ensemble(plan, journal, sources, &
-        task_queue, collisions, monitor%busy, start_seconds, start_date, quiet, exit_code, error)
+      if (.not. (goes_on .or. allocated(error))) call finish_ensemble(plan, sources, task_queue, &
+        collisions, monitor%busy, start_seconds, start_date, quiet, exit_code, error)
       call close_task_queue(task_queue)
-      if (goes_on) call find_further_tasks(plan, communicator, journal, sources, pending, error)
+      if (goes_on) call find_further_tasks(plan, communicator, sources, pending, error)
       if (allocated(error)) exit
     end do
     call close_sources(sources)
@@ -96,11 +94,10 @@ contains
   !> Merges the journal into the results file on rank 0, and prints the summary. The journal is
   !> removed when the results file has all results. A run that a signal has stopped ends at once,
   !> without a results file: Open MPI kills its ranks a second later; `--partial` makes the file.
-  subroutine finish_ensemble(plan, journal, sources, task_queue, collisions, busy_seconds, &
-    start_seconds, start_date, quiet, exit_code, error)
+  subroutine finish_ensemble(plan, sources, task_queue, collisions, busy_seconds, start_seconds, &
+    start_date, quiet, exit_code, error)
     type(plan_type), intent(in) :: plan
-    type(journal_type), intent(in) :: journal
-    !> The older results file; closed here.
+    !> The journal, and the older results file, which is closed here.
     type(sources_type), intent(inout) :: sources
     type(task_queue_type), intent(in) :: task_queue
     !> Wall collisions of this start, on all ranks.
@@ -115,7 +112,6 @@ contains
     integer, intent(out) :: exit_code
     type(error_type), allocatable, intent(out) :: error
     type(results_type) :: results
-    type(string_type), allocatable :: failures(:)
     !> Fraction of the time that ranks spent in tasks, and of ranks that have received a signal.
     real(dp) :: busy, signalled
     logical :: all_done, stops
@@ -129,18 +125,18 @@ contains
     if (read_counter(task_queue, tasks_failed) > 0) exit_code = exit_failure
     if (.not. all_done) exit_code = exit_stopped_early
     if (task_queue%communicator%rank == 0) then
-      call check_lock(journal, error)
-      if (.not. (stops .or. allocated(error))) call merge_results(plan, journal, sources, &
-        start_date, results, failures, error)
-      if (stops .and. .not. (quiet .or. allocated(error))) call print_stop(journal%ranks, &
+      call check_lock(sources%journal_type, error)
+      if (.not. (stops .or. allocated(error))) call merge_results(plan, sources, start_date, &
+        results, error)
+      if (stops .and. .not. (quiet .or. allocated(error))) call print_stop(sources%ranks, &
         'what is finished: battery --partial FILE.nml writes it to '//plan%file//'.partial.h5')
-      if (.not. (stops .or. allocated(error))) call print_summary(plan, results, failures, &
-        journal%ranks, busy, wall_seconds() - start_seconds, collisions, all_done, quiet)
+      if (.not. (stops .or. allocated(error))) call print_summary(plan, results, &
+        sources%ranks, busy, wall_seconds() - start_seconds, collisions, all_done, quiet)
       if (.not. allocated(error) .and. exit_code == exit_success) then
         if (all_tasks_complete(results)) then
-          call remove_journal(journal%folder, error)
+          call remove_journal(sources%folder, error)
         else
-          call fatal_error(error, 'some results in '//journal%folder//' cannot be read back; ' &
+          call fatal_error(error, 'some results in '//sources%folder//' cannot be read back; ' &
             //'the same command computes them again')
         end if
       end if

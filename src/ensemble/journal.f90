@@ -24,7 +24,7 @@ module battery_journal
   use battery_task_result, only: task_result_type, to_record
   use battery_simulation, only: simulation_type, setup_type, serialize_simulation
   use battery_tasks, only: task_type
-  use battery_archive, only: archive_type, new_archive, measuring_archive, archive_of
+  use battery_archive, only: archive_type, new_archive, measuring_archive
   implicit none (type, external)
   private
   public :: journal_type, find_journal, begin_journal, join_journal, rank_file, rank_files_of
@@ -34,6 +34,11 @@ module battery_journal
   !> The journal as one rank accesses it.
   type :: journal_type
     character(len=:), allocatable :: folder
+    !> Whether there was a plan that can be read, the text of its namelist, and the fingerprint of
+    !> the initial file; 0: there was none.
+    logical :: has_plan = .false.
+    character(len=:), allocatable :: namelist
+    integer(int64) :: initial_fingerprint = 0
     !> Files that were there when the folder was listed, on rank 0.
     type(string_type), allocatable, private :: names(:)
     !> Number of the rank file of rank 0: rank files of earlier starts have smaller numbers. Number
@@ -77,46 +82,36 @@ contains
     name = journal%folder//'/task_'//fingerprint_text(task_id)
   end function state_file
 
-  !> Finds the files of earlier starts, and reads their plan: the namelist, and the fingerprint of
-  !> the initial file. `found` is false if there is no plan that can be read. The folder is listed
-  !> here only; `first_file` becomes the next free number of a rank file: greater than those of all
-  !> files, and than those that earlier starts reserved for their ranks, used or not.
-  subroutine find_journal(journal, folder, namelist, initial_fingerprint, found)
+  !> Finds the files of earlier starts, and reads their plan. The folder is listed here only;
+  !> `first_file` becomes the next free number of a rank file: greater than those of all files, and
+  !> than those that earlier starts reserved for their ranks, used or not.
+  subroutine find_journal(journal, folder)
     type(journal_type), intent(out) :: journal
     !> Folder of the journal, which need not be there.
     character(len=*), intent(in) :: folder
-    !> Text of the namelist; empty if not found.
-    character(len=:), allocatable, intent(out) :: namelist
-    !> Fingerprint of the initial file; 0 if there was none.
-    integer(int64), intent(out) :: initial_fingerprint
-    logical, intent(out) :: found
     type(record_type) :: record
-    type(archive_type) :: archive
     integer :: files
 
     journal%folder = folder
     journal%names = journal_files(folder)
-    call read_single_record(folder//'/plan', record, found)
+    call read_single_record(folder//'/plan', record, journal%has_plan)
     files = 0
-    initial_fingerprint = 0
-    namelist = ''
-    if (found) then
-      archive = archive_of(record%word)
-      call serialize_plan(namelist, initial_fingerprint, files, archive)
-      found = .not. archive%failed()
+    if (journal%has_plan) then
+      call serialize_plan(journal, files, record%archive_type)
+      journal%has_plan = .not. record%failed()
     end if
     journal%first_file = max(files, 1 + maxval([-1, numbers_in(journal%names)]))
   end subroutine find_journal
 
   !> Saves or restores the contents of the file `plan`.
-  pure subroutine serialize_plan(namelist, initial_fingerprint, rank_files, archive)
-    character(len=:), allocatable, intent(inout) :: namelist
-    integer(int64), intent(inout) :: initial_fingerprint
+  pure subroutine serialize_plan(journal, rank_files, archive)
+    type(journal_type), intent(inout) :: journal
+    !> Number of rank files, including those that the ranks of the start may make.
     integer, intent(inout) :: rank_files
     type(archive_type), intent(inout) :: archive
 
-    call archive%serialize_text('namelist', namelist)
-    call archive%serialize('initial_fingerprint', initial_fingerprint)
+    call archive%serialize_text('namelist', journal%namelist)
+    call archive%serialize('initial_fingerprint', journal%initial_fingerprint)
     call archive%serialize('rank_files', rank_files)
   end subroutine serialize_plan
 
@@ -155,29 +150,36 @@ contains
   end function task_ids_of
 
   !> Begins the journal: writes the plan, on rank 0, before any rank writes anything else.
-  subroutine begin_journal(folder, namelist, initial_fingerprint, rank_files, error)
-    !> Folder of the journal, and the text of the namelist.
-    character(len=*), intent(in) :: folder, namelist
+  subroutine begin_journal(journal, namelist, initial_fingerprint, ranks, error)
+    !> From `find_journal`.
+    type(journal_type), intent(inout) :: journal
+    !> Text of the namelist.
+    character(len=*), intent(in) :: namelist
     !> Fingerprint of the initial file; 0 if there is none.
     integer(int64), intent(in) :: initial_fingerprint
-    !> Number of rank files, including those that the ranks of this start may make.
-    integer, intent(in) :: rank_files
+    !> Number of ranks of this start.
+    integer, intent(in) :: ranks
     type(error_type), allocatable, intent(out) :: error
-    type(archive_type) :: archive
-    character(len=:), allocatable :: text
-    integer(int64) :: fingerprint
+    type(record_type) :: record
     integer :: files
 
-    call make_folder(folder, error)
+    if (journal%first_file > huge(ranks) - ranks) then
+      call fatal_error(error, rank_file(journal, journal%first_file - 1) &
+        //': leaves no number for another file; remove it')
+      return
+    end if
+    call make_folder(journal%folder, error)
     if (allocated(error)) return
-    text = namelist
-    fingerprint = initial_fingerprint
-    files = rank_files
-    archive = new_archive()
-    call serialize_plan(text, fingerprint, files, archive)
-    call write_single_record(folder//'/plan.new', record_type(word=archive%word(:archive%length)), &
-      error)
-    if (.not. allocated(error)) call publish_file(folder//'/plan.new', folder//'/plan', error)
+    journal%namelist = namelist
+    journal%initial_fingerprint = initial_fingerprint
+    files = journal%first_file + ranks
+    record%archive_type = new_archive()
+    call serialize_plan(journal, files, record%archive_type)
+    record%word = record%word(:record%length)
+    associate (plan => journal%folder//'/plan')
+      call write_single_record(plan//'.new', record, error)
+      if (.not. allocated(error)) call publish_file(plan//'.new', plan, error)
+    end associate
   end subroutine begin_journal
 
   !> Sets up the journal on a rank, after `begin_journal`; `rank_files` is the number before this
@@ -264,7 +266,6 @@ contains
     !> Processor time spent on the task so far.
     real(dp), intent(in) :: cpu_seconds
     type(error_type), allocatable, intent(out) :: error
-    type(archive_type) :: archive
     type(record_type) :: record
     real(dp) :: seconds
     character(len=:), allocatable :: name
@@ -272,18 +273,16 @@ contains
     call check_lock(journal, error)
     if (allocated(error)) return
     seconds = cpu_seconds
-    ! The length is measured first, and the archive moved then: there is only one copy of a large
-    ! state.
-    archive = measuring_archive()
-    call serialize_state(simulation, simulation%setup, seconds, archive, error)
+    ! The length is measured first: there is only one copy of a large state.
+    record%archive_type = measuring_archive()
+    call serialize_state(simulation, simulation%setup, seconds, record%archive_type, error)
     if (allocated(error)) return
-    archive = new_archive(archive%length)
-    call serialize_state(simulation, simulation%setup, seconds, archive, error)
+    record%archive_type = new_archive(record%length)
+    call serialize_state(simulation, simulation%setup, seconds, record%archive_type, error)
     if (allocated(error)) return
     record%owner = task%task_id
     journal%generation = journal%generation + 1
     record%generation = journal%generation
-    call move_alloc(archive%word, record%word)
     name = state_file(journal, task%task_id)//generations(2 - mod(journal%generation, 2_int64))
     call write_single_record(name, record, error)
     if (.not. allocated(error)) call sync_file(name, error)
@@ -312,7 +311,6 @@ contains
     logical, intent(out) :: found
     type(error_type), allocatable, intent(out) :: error
     type(record_type) :: state(2)
-    type(archive_type) :: archive
     integer :: k, newer
 
     cpu_seconds = 0.0_dp
@@ -326,10 +324,8 @@ contains
     found = journal%generation > 0
     if (.not. found) return
     state(3 - newer) = record_type()
-    archive = archive_of(state(newer)%word)
-    state(newer) = record_type()
-    call serialize_state(simulation, task%setup, cpu_seconds, archive, error)
-    if (.not. archive%failed()) return
+    call serialize_state(simulation, task%setup, cpu_seconds, state(newer)%archive_type, error)
+    if (.not. state(newer)%failed()) return
     ! A state of another format stays until this task saves a state.
     deallocate (error)
     found = .false.

@@ -10,7 +10,7 @@ module battery_merge
   use battery_kinds, only: dp, int32, int64
   use battery_clocks, only: utc_now
   use battery_error, only: error_type, fatal_error, exit_bad_input
-  use battery_files, only: has_stamp
+  use battery_files, only: file_stamp_type, has_stamp, may_open
   use battery_fingerprint, only: fingerprint_text
   use battery_hdf5_attributes, only: write_attribute, write_text_attribute
   use battery_hdf5_file, only: hdf5_file_type, make_group, no_handle
@@ -34,24 +34,23 @@ module battery_merge
   public :: merge_results, write_results_of, collect_results, sources_type
   public :: open_sources, close_sources
 
-  !> Place of a task's output: a record in a rank file, or columns of the old results file.
+  !> Place of a task's output.
   type :: place_type
     private
-    !> Index of the rank file in the list of sources; 0 if the output is in none.
-    integer :: rank_file = 0
-    !> Offset of the record in the rank file.
+    !> Index of the rank file in the list of sources; 0: the old results file.
+    integer :: file = 0
+    !> Offset of the record in the rank file; or number of the task in the old results file.
     integer(int64) :: at = 0
-    !> Replica and point in the old file, from 1; 0: the old file does not have the output.
-    integer :: replica = 0, point = 0
   end type place_type
 
-  !> Places of the outputs of all tasks.
-  type :: sources_type
+  !> Where results of tasks are: in records of a journal, or in the old results file.
+  type, extends(journal_type) :: sources_type
     !> The old results file, open if it is there and undamaged.
     type(results_file_type) :: old
-    !> Numbers of the rank files, and readers of them if all are held open.
-    integer, allocatable, private :: rank_file(:)
+    !> Numbers of the rank files, their readers, and whether all are held open.
+    integer, allocatable, private :: number(:)
     type(record_reader_type), allocatable, private :: reader(:)
+    logical, private :: are_held = .false.
     !> Place of the output of each task.
     type(place_type), allocatable, private :: place(:)
     !> Greatest number of entries, or of particles, of any task in each group of outputs.
@@ -62,74 +61,93 @@ contains
 
   !> Writes the results file from the journal and the old results file; `results` returns its
   !> numbers.
-  subroutine merge_results(plan, journal, sources, start_date, results, failures, error)
+  subroutine merge_results(plan, sources, start_date, results, error)
     type(plan_type), intent(in) :: plan
-    type(journal_type), intent(in) :: journal
-    !> The old results file; not used if it is not the one that was there when the lock was taken.
+    !> The old results file is not used if it is not the one that was there when the lock was taken.
     type(sources_type), intent(inout) :: sources
     !> Start of the run as date and time of day.
     character(len=*), intent(in) :: start_date
     type(results_type), intent(out) :: results
-    !> Reason for which each task failed; not allocated for the others.
-    type(string_type), allocatable, intent(out) :: failures(:)
     type(error_type), allocatable, intent(out) :: error
-    type(results_file_type) :: file
-    integer, allocatable :: replicas_needed(:)
 
-    if (.not. has_stamp(plan%file, journal%lock%before)) call close_results(sources%old)
-    call collect_results(plan, journal, sources, results, failures, replicas_needed, error)
-    if (allocated(error)) return
-    call write_results_of(plan, journal, sources, plan%file, start_date, replicas_needed, results, &
-      file, error)
-    call publish_results(plan%file, file, journal%lock%before, error)
+    if (.not. has_stamp(plan%file, sources%lock%before)) call close_results(sources%old)
+    call collect_results(plan, sources, results, error)
+    if (.not. allocated(error)) call write_results_of(plan, sources, plan%file, &
+      sources%lock%before, start_date, results, error)
   end subroutine merge_results
 
-  !> Writes the results of all sources to a new file, which is still to be published.
-  subroutine write_results_of(plan, journal, sources, name, start_date, replicas_needed, results, &
-    file, error)
+  !> Writes the results of all sources to a new file, and publishes it.
+  subroutine write_results_of(plan, sources, name, before, start_date, results, error)
     type(plan_type), intent(in) :: plan
-    type(journal_type), intent(in) :: journal
-    !> From `collect_results`, as are the results and the numbers of replicas; closed here.
+    !> From `collect_results`, as are the results; closed here.
     type(sources_type), intent(inout) :: sources
-    !> Path of the file, and start of the run as date and time of day.
-    character(len=*), intent(in) :: name, start_date
-    integer, intent(in) :: replicas_needed(:)
+    !> Path of the file.
+    character(len=*), intent(in) :: name
+    !> Identity of the file that may be replaced.
+    type(file_stamp_type), intent(in) :: before
+    !> Start of the run as date and time of day.
+    character(len=*), intent(in) :: start_date
     type(results_type), intent(inout) :: results
-    type(results_file_type), intent(out) :: file
     type(error_type), allocatable, intent(out) :: error
+    type(results_file_type) :: file
     type(task_type) :: task
     integer :: k
 
-    call drop_unwanted_replicas(results, replicas_needed)
     do k = 1, task_count(plan)
       task = task_of(plan, k)
-      results%point(task%point) = point_of(plan, task%point)
-      results%point(task%point)%urn_radius = task%setup%table%urn%radius
-      results%seed(task%replica, task%point) = task%setup%seed
+      associate (p => task%point, r => task%replica)
+        results%point(p) = point_of(plan, p)
+        results%point(p)%urn_radius = task%setup%table%urn%radius
+        results%seed(r, p) = task%setup%seed
+        if (r <= results%replicas_needed(p)) cycle
+        ! An earlier run may have needed more replicas than a point needs whose number is decided.
+        if (results%point_status(p) == point_undecided) cycle
+        results%task_status(r, p) = task_not_asked
+        results%average(r, p, :) = unknown_real()
+        results%error(r, p, :) = unknown_real()
+        results%counted(r, p, :) = unknown_count
+      end associate
     end do
     call create_results(name, file, error)
-    call write_description(file, plan, max(1, journal%ranks), start_date, results, error)
+    call write_description(file, plan, max(1, sources%ranks), start_date, results, error)
     call write_results(file, results, error)
-    call prepare_outputs(file%hdf5_file_type, plan, sources%length, plan%event_log .and. any( &
-      results%task_status <= task_failed), file%outputs, error)
-    call copy_outputs(plan, journal, sources, file, results, error)
+    call prepare_outputs(file, plan, sources%length, plan%event_log .and. any( &
+      results%task_status <= task_failed), error)
+    call copy_outputs(plan, sources, file, results, error)
     call close_sources(sources)
+    call publish_results(name, file, before, error)
   end subroutine write_results_of
 
   !> Opens all rank files, so that what is in them now can be read even if a run that is going on
   !> ends and removes them.
-  subroutine open_sources(journal, sources)
-    type(journal_type), intent(in) :: journal
-    !> Sources, to be closed with `close_sources`.
-    type(sources_type), intent(out) :: sources
+  subroutine open_sources(sources, error)
+    !> Sources with a journal from `find_journal`, to be closed with `close_sources`.
+    type(sources_type), intent(inout) :: sources
+    !> They are more than this process may open.
+    type(error_type), allocatable, intent(out) :: error
+    !> Other files that may be open at the same time.
+    integer(int64), parameter :: others = 64
     integer :: k
 
-    sources%rank_file = rank_files_of(journal)
-    allocate (sources%reader(size(sources%rank_file)))
-    do k = 1, size(sources%reader)
-      call open_records(sources%reader(k), rank_file(journal, sources%rank_file(k)))
+    call list_rank_files(sources)
+    if (may_open(size(sources%number) + others) == 0) then
+      call fatal_error(error, sources%folder//': has '//to_text(size(sources%number)) &
+        //' files to be open at the same time, more than this process may open (ulimit -Hn)')
+      return
+    end if
+    do k = 1, size(sources%number)
+      call open_rank_file(sources, k)
     end do
+    sources%are_held = .true.
   end subroutine open_sources
+
+  !> Lists the rank files, which are not open yet.
+  subroutine list_rank_files(sources)
+    type(sources_type), intent(inout) :: sources
+
+    sources%number = rank_files_of(sources%journal_type)
+    sources%reader = spread(record_reader_type(), 1, size(sources%number))
+  end subroutine list_rank_files
 
   !> Closes the old results file and the rank files that are held open.
   subroutine close_sources(sources)
@@ -143,26 +161,21 @@ contains
     end do
   end subroutine close_sources
 
-  !> A reader of a rank file, by its index in the list; one that is held open, if it is.
-  subroutine open_rank_file(journal, sources, k, reader)
-    type(journal_type), intent(in) :: journal
-    type(sources_type), intent(in) :: sources
+  !> Opens a rank file, by its index in the list, unless it is held open.
+  subroutine open_rank_file(sources, k)
+    type(sources_type), intent(inout) :: sources
     integer, intent(in) :: k
-    type(record_reader_type), intent(out) :: reader
 
-    if (allocated(sources%reader)) then
-      reader = sources%reader(k)
-    else
-      call open_records(reader, rank_file(journal, sources%rank_file(k)))
-    end if
+    if (.not. sources%are_held) call open_records(sources%reader(k), &
+      rank_file(sources%journal_type, sources%number(k)))
   end subroutine open_rank_file
 
-  !> Closes a reader of `open_rank_file`, unless the file is held open.
-  subroutine close_rank_file(sources, reader)
-    type(sources_type), intent(in) :: sources
-    type(record_reader_type), intent(inout) :: reader
+  !> Closes a rank file, by its index in the list, unless it is held open; 0: none.
+  subroutine close_rank_file(sources, k)
+    type(sources_type), intent(inout) :: sources
+    integer, intent(in) :: k
 
-    if (.not. allocated(sources%reader)) call close_records(reader)
+    if (k > 0 .and. .not. sources%are_held) call close_records(sources%reader(k))
   end subroutine close_rank_file
 
   !> Writes the attributes of the root: program, input and run. Does nothing after an error.
@@ -210,47 +223,40 @@ contains
 
   !> Collects the numbers of all results, and the places of their task outputs. The old results file
   !> is read only if it is open and the journal does not have all tasks.
-  subroutine collect_results(plan, journal, sources, results, failures, replicas_needed, error)
+  subroutine collect_results(plan, sources, results, error)
     type(plan_type), intent(in) :: plan
-    type(journal_type), intent(in) :: journal
     !> Sources, whose old file may be open; it is not open after an error in it.
     type(sources_type), intent(inout) :: sources
     !> Results; points and seeds are unknown.
     type(results_type), intent(out) :: results
-    !> Reason for which each task failed; not allocated for the others.
-    type(string_type), allocatable, intent(out) :: failures(:)
-    !> Number of replicas required at each point.
-    integer, allocatable, intent(out) :: replicas_needed(:)
     !> The old file is undamaged, but was not written by this program; a damaged file is ignored.
     type(error_type), allocatable, intent(out) :: error
     type(task_result_type) :: found
-    type(record_reader_type) :: reader
     type(task_index_type) :: task_index
     type(place_type) :: place
     integer :: k, group
     logical :: is_one
 
-    allocate (failures(task_count(plan)))
     sources%place = [(place_type(), k=1, task_count(plan))]
     sources%length = 0
     call new_results(results, plan%point_count, plan%replicas)
     results%scanned = plan%scanned
-    if (.not. allocated(sources%reader)) sources%rank_file = rank_files_of(journal)
-    if (size(sources%rank_file) > 0 .or. sources%old%id /= no_handle) &
+    if (.not. sources%are_held) call list_rank_files(sources)
+    if (size(sources%number) > 0 .or. sources%old%id /= no_handle) &
       task_index = task_index_of(plan)
-    do k = 1, size(sources%rank_file)
-      place%rank_file = k
-      call open_rank_file(journal, sources, k, reader)
+    do k = 1, size(sources%number)
+      place%file = k
+      call open_rank_file(sources, k)
       do
-        call next_result(reader, found, place%at, is_one)
+        call next_result(sources%reader(k), found, place%at, is_one)
         if (.not. is_one) exit
         call add_result(found, place, [(size(found%of(group)%values, 1), group=1, size(found%of))])
       end do
-      call close_rank_file(sources, reader)
+      call close_rank_file(sources, k)
     end do
     if (any(results%task_status /= task_complete) .and. sources%old%id /= no_handle) &
       call add_old_results()
-    if (.not. allocated(error)) call decide_replicas(plan, results, replicas_needed)
+    if (.not. allocated(error)) call decide_replicas(plan, results)
 
   contains
 
@@ -268,9 +274,13 @@ contains
         do p = 1, size(before%task_status, 2)
           do r = 1, before%replicas
             if (before%task_status(r, p) /= task_complete) cycle
-            found = numbers_of(before, r, p)
+            found%status = task_complete
             found%task_id = task_id_in_results(plan, before%seed(r, p))
-            call add_result(found, place_type(replica=r, point=p), old%outputs%length)
+            found%measured%average = before%average(r, p, :)
+            found%measured%error = before%error(r, p, :)
+            found%measured%counted = before%counted(r, p, :)
+            found%host = before%host(1 + before%counted(r, p, host_place()))%text
+            call add_result(found, place_type(at=r + (p - 1)*before%replicas), old%length)
           end do
         end do
       end associate
@@ -296,47 +306,36 @@ contains
         results%average(r, p, :) = one%measured%average
         results%error(r, p, :) = one%measured%error
         results%counted(r, p, :) = one%measured%counted
-        results%counted(r, p, place_of('provenance/host', counted_quantities())) &
-          = index_in_list(one%host, results%host)
+        results%counted(r, p, host_place()) = index_in_list(one%host, results%host)
       end associate
       associate (n => task%number)
         sources%length = max(sources%length, merge([length(series), n, n, length(events)], 0, &
           length > 0))
       end associate
       sources%place(number) = place
-      if (allocated(failures(number)%text)) deallocate (failures(number)%text)
-      if (one%status == task_failed) failures(number)%text = one%message
+      results%failure(number) = string_type()
+      if (one%status == task_failed) results%failure(number)%text = one%message
     end subroutine add_result
 
   end subroutine collect_results
 
-  !> Numbers of the complete task of replica `r` and point `p` in a results file.
-  function numbers_of(results, r, p) result(found)
-    type(results_type), intent(in) :: results
-    integer, intent(in) :: r, p
-    type(task_result_type) :: found
+  !> Place of the host among the counted quantities.
+  pure integer function host_place()
 
-    found%status = task_complete
-    found%measured%average = results%average(r, p, :)
-    found%measured%error = results%error(r, p, :)
-    found%measured%counted = results%counted(r, p, :)
-    found%host = results%host(1 + results%counted(r, p, place_of('provenance/host', &
-      counted_quantities())))%text
-  end function numbers_of
+    host_place = place_of('provenance/host', counted_quantities())
+  end function host_place
 
   !> Copies the output of every task to its place in a new file, in the order of the tasks. Does
   !> nothing after an error.
-  subroutine copy_outputs(plan, journal, sources, file, results, error)
+  subroutine copy_outputs(plan, sources, file, results, error)
     type(plan_type), intent(in) :: plan
-    type(journal_type), intent(in) :: journal
-    type(sources_type), intent(in) :: sources
+    type(sources_type), intent(inout) :: sources
     type(results_file_type), intent(in) :: file
     !> Results with the statuses of the tasks; the number of tasks that ended before their last
     !> snapshot is set here.
     type(results_type), intent(inout) :: results
     type(error_type), allocatable, intent(inout) :: error
     type(task_result_type) :: found
-    type(record_reader_type) :: reader
     type(task_type) :: task
     integer(int64) :: at
     integer :: k, open_file
@@ -349,47 +348,28 @@ contains
       task = task_of(plan, k)
       if (all(results%task_status(task%replica, task%point) /= [task_complete, task_failed])) cycle
       associate (place => sources%place(k))
-        if (place%replica > 0) then
-          call serialize_slabs(sources%old, sources%old%outputs, place%replica, place%point, &
-            task%number, found%task_output_type, error)
+        if (place%file == 0) then
+          call serialize_slabs(sources%old, int(place%at), task%number, found%task_output_type, &
+            error)
         else
-          if (place%rank_file /= open_file) then
-            call close_rank_file(sources, reader)
-            call open_rank_file(journal, sources, place%rank_file, reader)
-            open_file = place%rank_file
+          if (place%file /= open_file) then
+            call close_rank_file(sources, open_file)
+            call open_rank_file(sources, place%file)
+            open_file = place%file
           end if
-          reader%at = place%at
-          call next_result(reader, found, at, is_one)
+          sources%reader(open_file)%at = place%at
+          call next_result(sources%reader(open_file), found, at, is_one)
           if (.not. is_one .or. found%task_id /= task%task_id) call fatal_error(error, &
-            journal%folder //': the result of task '//to_text(k)//' cannot be read a second time')
+            sources%folder//': the result of task '//to_text(k)//' cannot be read a second time')
         end if
       end associate
       if (allocated(error)) exit
-      call serialize_slabs(file, file%outputs, task%replica, task%point, task%number, &
-        found%task_output_type, error)
+      call serialize_slabs(file, k, task%number, found%task_output_type, error)
       if (ended_early(found%task_output_type, size(plan%snapshot_times))) &
         results%short_tasks = results%short_tasks + 1
     end do
-    call close_rank_file(sources, reader)
+    call close_rank_file(sources, open_file)
   end subroutine copy_outputs
-
-  !> Removes replicas beyond the number that their point needs: an earlier run may have needed more.
-  subroutine drop_unwanted_replicas(results, replicas_needed)
-    type(results_type), intent(inout) :: results
-    integer, intent(in) :: replicas_needed(:)
-    integer :: p
-
-    if (.not. allocated(results%point_status)) return
-    do p = 1, size(replicas_needed)
-      if (results%point_status(p) == point_undecided) cycle
-      associate (n => replicas_needed(p) + 1)
-        results%task_status(n:, p) = task_not_asked
-        results%average(n:, p, :) = unknown_real()
-        results%error(n:, p, :) = unknown_real()
-        results%counted(n:, p, :) = unknown_count
-      end associate
-    end do
-  end subroutine drop_unwanted_replicas
 
   !> Index of a text in a list, from 0; the text is added if the list does not have it.
   integer(int64) function index_in_list(text, list) result(place)

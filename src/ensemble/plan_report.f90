@@ -8,7 +8,6 @@ module battery_plan_report
   use battery_json_report, only: write_plan_json
   use battery_memory_estimate, only: estimate_type, every_rank
   use battery_available_memory, only: size_text
-  use battery_journal, only: journal_type
   use battery_merge, only: sources_type, close_sources
   use battery_startup, only: progress_type, inspect_output, further_text
   use battery_plan, only: plan_type, point_type, point_of
@@ -40,7 +39,6 @@ contains
     !> JSON file for tasks, time and memory; empty: none.
     character(len=*), intent(in) :: json
     type(error_type), allocatable, intent(out) :: error
-    type(journal_type) :: journal
     type(sources_type) :: sources
     type(progress_type) :: progress
     character(len=:), allocatable :: message
@@ -52,7 +50,7 @@ contains
     if (overwrite) then
       progress = initial_progress(plan)
     else
-      call inspect_output(plan, journal, sources, progress, message, error)
+      call inspect_output(plan, sources, progress, message, error)
       call close_sources(sources)
     end if
     if (allocated(error)) return

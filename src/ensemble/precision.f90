@@ -30,18 +30,16 @@ module battery_precision
 contains
 
   !> Decides the number of replicas of each point whose first replicas are complete.
-  subroutine decide_replicas(plan, results, replicas_needed)
+  subroutine decide_replicas(plan, results)
     type(plan_type), intent(in) :: plan
-    !> Results, in which the status and the errors of each point are set.
+    !> Results, in which the number of replicas, the status and the errors of each point are set.
     type(results_type), intent(inout) :: results
-    !> Number of replicas of each point.
-    integer, allocatable, intent(out) :: replicas_needed(:)
     real(dp) :: factor, scatter(2), needed
     integer :: place(2), n, p, k
     logical :: asked(2)
 
     n = plan%first_replicas
-    allocate (replicas_needed(plan%point_count), source=n)
+    allocate (results%replicas_needed(plan%point_count), source=n)
     asked = plan%precision > 0.0_wp
     if (.not. any(asked)) return
     allocate (results%point_status(plan%point_count), source=point_undecided)
@@ -63,14 +61,16 @@ contains
       if (.not. any(asked .and. ieee_is_nan(scatter))) then
         needed = maxval((scatter/merge(real(plan%precision, dp), 1.0_dp, asked))**2, asked)
         if (needed <= plan%replicas) results%point_status(p) = point_precise
-        replicas_needed(p) = max(n, ceiling(min(needed, real(plan%replicas, dp))))
+        results%replicas_needed(p) = max(n, ceiling(min(needed, real(plan%replicas, dp))))
       end if
-      if (any(results%task_status(:replicas_needed(p), p) /= task_complete)) cycle
-      if (has_two_states(results%average(:replicas_needed(p), p, place(1)))) then
-        results%point_status(p) = point_two_states
-      else
-        results%replica_error(p, :) = scatter/sqrt(real(replicas_needed(p), dp))
-      end if
+      associate (replicas => results%replicas_needed(p))
+        if (any(results%task_status(:replicas, p) /= task_complete)) cycle
+        if (has_two_states(results%average(:replicas, p, place(1)))) then
+          results%point_status(p) = point_two_states
+        else
+          results%replica_error(p, :) = scatter/sqrt(real(replicas, dp))
+        end if
+      end associate
     end do
   end subroutine decide_replicas
 

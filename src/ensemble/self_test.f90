@@ -320,7 +320,7 @@ contains
       call fatal_error(error, 'not all tasks are in the file')
     do k = 1, plan%replicas
       if (allocated(error)) exit
-      call serialize_slabs(file, file%outputs, k, 1, size(final_lines), output, error)
+      call serialize_slabs(file, k, size(final_lines), output, error)
       if (allocated(error)) exit
       associate (states => output%of(final)%values)
         if (.not. is_final_state(states(:, 1), states(:, 2), states(:, 3), states(:, 4))) &

@@ -18,8 +18,7 @@ module battery_startup
   use battery_plan_remarks, only: remarks_of
   use battery_results, only: results_type, task_complete, point_undecided
   use battery_process, only: process_number
-  use battery_results_file, only: results_file_type, open_results, close_results, accept_results, &
-    publish_results
+  use battery_results_file, only: results_file_type, open_results, close_results, accept_results
   use battery_tasks, only: task_type, task_count, task_of, order_tasks, task_index_type, &
     task_index_of, task_number_of
   use battery_terminal, only: print_line
@@ -50,14 +49,13 @@ module battery_startup
 contains
 
   !> Finds the pending tasks: rank 0 inspects the results file and the journal, if they exist.
-  subroutine find_pending_tasks(plan, communicator, overwrite, quiet, journal, sources, pending, &
-    complete, error)
+  subroutine find_pending_tasks(plan, communicator, overwrite, quiet, sources, pending, complete, &
+    error)
     type(plan_type), intent(in) :: plan
     type(communicator_type), intent(in) :: communicator
     !> Whether to discard existing results; whether rank 0 prints nothing.
     logical, intent(in) :: overwrite, quiet
-    type(journal_type), intent(out) :: journal
-    !> The old results file on rank 0, open if it is there.
+    !> The journal, and the old results file on rank 0, open if it is there.
     type(sources_type), intent(out) :: sources
     !> Numbers of the pending tasks, in the order to be taken, on rank 0; empty on the others.
     integer, allocatable, intent(out) :: pending(:)
@@ -68,24 +66,54 @@ contains
     integer(int64), allocatable :: shared(:)
 
     allocate (pending(0))
+    complete = .false.
     if (communicator%rank == 0) then
-      call begin_on_rank0(plan, communicator%size, overwrite, quiet, complete, journal, sources, &
-        pending, error)
-      shared = [merge(1, 0, complete), journal%first_file]
+      call begin_on_rank0()
+      shared = [merge(1, 0, complete), sources%first_file]
     end if
     call share_error(communicator, error)
     if (allocated(error)) return
     call share_words(communicator, shared)
     complete = shared(1) == 1
-    call join_journal(journal, journal_folder(plan), int(shared(2)), communicator%rank, &
-      communicator%size)
+    call join_journal(sources%journal_type, journal_folder(plan), int(shared(2)), &
+      communicator%rank, communicator%size)
+
+  contains
+
+    !> Finds the pending tasks, and the journal of earlier starts; if there are pending tasks,
+    !> begins the journal of this start.
+    subroutine begin_on_rank0()
+      type(progress_type) :: progress
+      character(len=:), allocatable :: message
+      type(string_type), allocatable :: remarks(:)
+      integer :: at
+
+      if (overwrite) call discard_output(plan, error)
+      if (.not. allocated(error)) call inspect_output(plan, sources, progress, message, error)
+      if (.not. allocated(error)) call check_journal(sources%journal_type, error)
+      if (allocated(error)) return
+      complete = progress%complete
+      pending = progress%pending
+      if (message /= '' .and. .not. quiet) call print_line(message)
+      if (complete) then
+        call remove_journal(sources%folder, error)
+      else
+        remarks = remarks_of(plan)
+        do at = 1, merge(0, size(remarks), quiet)
+          call print_line('remark: '//remarks(at)%text)
+        end do
+        call begin_journal(sources%journal_type, plan%text, plan%initial_fingerprint, &
+          communicator%size, error)
+        call order_tasks(plan, communicator%size, pending)
+      end if
+    end subroutine begin_on_rank0
+
   end subroutine find_pending_tasks
 
   !> Finds the tasks that a precision needs besides, after those of a first pass are finished.
-  subroutine find_further_tasks(plan, communicator, journal, sources, pending, error)
+  subroutine find_further_tasks(plan, communicator, sources, pending, error)
     type(plan_type), intent(in) :: plan
     type(communicator_type), intent(in) :: communicator
-    type(journal_type), intent(in) :: journal
     type(sources_type), intent(inout) :: sources
     !> On rank 0: the tasks of the last pass; then those of the next, in the order to be taken; none
     !> if results of the last cannot be read back.
@@ -93,72 +121,31 @@ contains
     !> The same error on all ranks.
     type(error_type), allocatable, intent(out) :: error
     type(results_type) :: results
-    type(string_type), allocatable :: failures(:)
-    integer, allocatable :: replicas_needed(:)
     logical :: were_read
 
-    if (communicator%rank == 0) call collect_results(plan, journal, sources, results, failures, &
-      replicas_needed, error)
+    if (communicator%rank == 0) call collect_results(plan, sources, results, error)
     call share_error(communicator, error)
     if (communicator%rank > 0 .or. allocated(error)) return
     associate (status => reshape(results%task_status, [task_count(plan)]))
       were_read = all(status(pending) == task_complete)
     end associate
-    pending = pending_tasks(plan, results, replicas_needed)
+    pending = pending_tasks(plan, results)
     if (.not. were_read) pending = pending(:0)
     call order_tasks(plan, communicator%size, pending)
   end subroutine find_further_tasks
 
   !> Numbers of the tasks that are known to be needed and are not complete.
-  pure function pending_tasks(plan, results, replicas_needed) result(pending)
+  pure function pending_tasks(plan, results) result(pending)
     type(plan_type), intent(in) :: plan
     type(results_type), intent(in) :: results
-    integer, intent(in) :: replicas_needed(:)
     integer, allocatable :: pending(:)
     integer :: k
 
-    pending = pack([(k, k=1, task_count(plan))], &
-      [(results%task_status(:replicas_needed(k), k) /= task_complete, spread(.false., 1, &
-      plan%replicas - replicas_needed(k)), k=1, plan%point_count)])
+    associate (needed => results%replicas_needed)
+      pending = pack([(k, k=1, task_count(plan))], [(results%task_status(:needed(k), k) &
+        /= task_complete, spread(.false., 1, plan%replicas - needed(k)), k=1, plan%point_count)])
+    end associate
   end function pending_tasks
-
-  !> Finds the pending tasks, and the journal of earlier starts; if there are pending tasks, begins
-  !> the journal of a start with `ranks` ranks.
-  subroutine begin_on_rank0(plan, ranks, overwrite, quiet, complete, journal, sources, pending, &
-    error)
-    type(plan_type), intent(in) :: plan
-    integer, intent(in) :: ranks
-    logical, intent(in) :: overwrite, quiet
-    logical, intent(out) :: complete
-    type(journal_type), intent(out) :: journal
-    type(sources_type), intent(out) :: sources
-    integer, allocatable, intent(inout) :: pending(:)
-    type(error_type), allocatable, intent(out) :: error
-    character(len=:), allocatable :: message
-    type(string_type), allocatable :: remarks(:)
-    type(progress_type) :: progress
-    integer :: at
-
-    complete = .false.
-    if (overwrite) call discard_output(plan, error)
-    if (.not. allocated(error)) call inspect_output(plan, journal, sources, progress, message, &
-      error)
-    if (.not. allocated(error)) call check_journal(journal, error)
-    if (allocated(error)) return
-    complete = progress%complete
-    pending = progress%pending
-    if (message /= '' .and. .not. quiet) call print_line(message)
-    if (complete) then
-      call remove_journal(journal_folder(plan), error)
-    else
-      remarks = remarks_of(plan)
-      do at = 1, merge(0, size(remarks), quiet)
-        call print_line('remark: '//remarks(at)%text)
-      end do
-      call open_journal(plan, ranks, journal%first_file, error)
-      call order_tasks(plan, ranks, pending)
-    end if
-  end subroutine begin_on_rank0
 
   !> Removes the results file and the journal.
   subroutine discard_output(plan, error)
@@ -166,11 +153,8 @@ contains
     !> They are something else, or cannot be removed.
     type(error_type), allocatable, intent(out) :: error
     type(journal_type) :: journal
-    character(len=:), allocatable :: before
-    integer(int64) :: initial_fingerprint
-    logical :: found
 
-    call find_journal(journal, journal_folder(plan), before, initial_fingerprint, found)
+    call find_journal(journal, journal_folder(plan))
     call check_journal(journal, error)
     if (.not. allocated(error)) call check_discardable(plan%file, error)
     if (.not. allocated(error)) call remove_file(plan%file, error)
@@ -178,10 +162,9 @@ contains
   end subroutine discard_output
 
   !> Determines the progress of an ensemble from its results file and its journal; writes nothing.
-  subroutine inspect_output(plan, journal, sources, progress, message, error)
+  subroutine inspect_output(plan, sources, progress, message, error)
     type(plan_type), intent(in) :: plan
     !> Journal of earlier starts; the results file, to be closed with `close_sources`.
-    type(journal_type), intent(out) :: journal
     type(sources_type), intent(out) :: sources
     type(progress_type), intent(out) :: progress
     !> Message for the user; may be empty.
@@ -190,24 +173,22 @@ contains
     type(error_type), allocatable, intent(out) :: error
     type(error_type), allocatable :: damage
     type(results_type) :: results
-    type(string_type), allocatable :: failures(:)
-    integer, allocatable :: replicas_needed(:)
     logical :: found
 
     allocate (progress%pending(0))
     message = ''
     call inspect_results_file(plan, sources%old, progress%complete, damage, error)
-    if (.not. allocated(error)) call inspect_journal(plan, progress%complete, journal, found, error)
-    if (.not. allocated(error)) call collect_results(plan, journal, sources, results, failures, &
-      replicas_needed, error)
+    if (.not. allocated(error)) call inspect_journal(plan, progress%complete, &
+      sources%journal_type, error)
+    if (.not. allocated(error)) call collect_results(plan, sources, results, error)
     if (allocated(error)) return
     progress%finished = count(results%task_status == task_complete)
-    progress%begun = states_in(journal)
+    progress%begun = states_in(sources%journal_type)
     if (progress%complete) then
       message = plan%file//' is complete; --overwrite runs it again'
       return
     end if
-    found = found .or. progress%finished > 0
+    found = sources%has_plan .or. progress%finished > 0
     if (allocated(damage)) then
       if (.not. found) then
         call move_alloc(damage, error)
@@ -216,9 +197,8 @@ contains
       message = plan%file//' is damaged, and is written anew from '//journal_folder(plan) &
         //new_line_character
     end if
-    progress%pending = pending_tasks(plan, results, replicas_needed)
-    if (allocated(results%point_status)) call estimate_further_tasks(plan, results%point_status /= &
-      point_undecided, replicas_needed, progress)
+    progress%pending = pending_tasks(plan, results)
+    if (allocated(results%point_status)) call estimate_further_tasks(plan, results, progress)
     if (found) message = message//'going on: '//to_text(progress%finished)//' of ' &
       //to_text(progress%finished + size(progress%pending))//' tasks are finished' &
       //further_text(progress)
@@ -237,35 +217,19 @@ contains
   end function further_text
 
   !> Estimates the number of tasks of points whose first replicas are not complete.
-  pure subroutine estimate_further_tasks(plan, decided, replicas_needed, progress)
+  pure subroutine estimate_further_tasks(plan, results, progress)
     type(plan_type), intent(in) :: plan
-    !> Whether the number of replicas of each point is decided.
-    logical, intent(in) :: decided(:)
-    integer, intent(in) :: replicas_needed(:)
+    type(results_type), intent(in) :: results
     type(progress_type), intent(inout) :: progress
+    logical :: decided(size(results%point_status))
     integer :: others
 
+    decided = results%point_status /= point_undecided
     others = count(.not. decided)
     progress%further = others*(plan%replicas - plan%first_replicas)
-    if (any(decided)) progress%expected = others*(real(sum(replicas_needed, decided), dp) &
+    if (any(decided)) progress%expected = others*(real(sum(results%replicas_needed, decided), dp) &
       /count(decided) - plan%first_replicas)
   end subroutine estimate_further_tasks
-
-  !> Begins the journal of a start with `ranks` ranks, after `rank_files` rank files of earlier
-  !> starts.
-  subroutine open_journal(plan, ranks, rank_files, error)
-    type(plan_type), intent(in) :: plan
-    integer, intent(in) :: ranks, rank_files
-    type(error_type), allocatable, intent(out) :: error
-
-    if (rank_files > huge(rank_files) - ranks) then
-      call fatal_error(error, journal_folder(plan)//'/rank_'//to_text(rank_files - 1) &
-        //': leaves no number for another file; remove it')
-    else
-      call begin_journal(journal_folder(plan), plan%text, plan%initial_fingerprint, &
-        rank_files + ranks, error)
-    end if
-  end subroutine open_journal
 
   !> Folder of the journal of a plan.
   pure function journal_folder(plan) result(folder)
@@ -352,15 +316,12 @@ contains
     !> No task is finished, existing files are of another input, or the file cannot be written.
     type(error_type), allocatable, intent(out) :: error
     type(plan_type) :: partial
-    type(journal_type) :: journal
     type(sources_type) :: sources
     type(results_type) :: results
     type(results_file_type) :: file
     type(error_type), allocatable :: damage
-    type(string_type), allocatable :: failures(:)
-    integer, allocatable :: replicas_needed(:)
     character(len=:), allocatable :: unique
-    logical :: complete, found
+    logical :: complete
 
     message = ''
     partial = plan
@@ -372,12 +333,11 @@ contains
         //'replaced; move it away', exit_bad_input)
       return
     end if
-    call inspect_journal(plan, .true., journal, found, error)
-    if (allocated(error)) return
-    call open_sources(journal, sources)
-    call inspect_results_file(plan, sources%old, complete, damage, error)
-    if (.not. allocated(error)) call collect_results(plan, journal, sources, results, failures, &
-      replicas_needed, error)
+    call inspect_journal(plan, .true., sources%journal_type, error)
+    if (.not. allocated(error)) call open_sources(sources, error)
+    if (.not. allocated(error)) call inspect_results_file(plan, sources%old, complete, damage, &
+      error)
+    if (.not. allocated(error)) call collect_results(plan, sources, results, error)
     if (.not. allocated(error)) then
       if (all(results%task_status /= task_complete)) call fatal_error(error, plan%file &
         //': no task is finished yet', exit_bad_input)
@@ -386,9 +346,8 @@ contains
       ! Another process may write the same file at the same time.
       unique = partial%file//'.'//host_name()//'.'//to_text(process_number())
       call remove_file(unique, error)
-      if (.not. allocated(error)) call write_results_of(plan, journal, sources, unique, utc_now(), &
-        replicas_needed, results, file, error)
-      call publish_results(unique, file, file_stamp_type(), error)
+      if (.not. allocated(error)) call write_results_of(plan, sources, unique, file_stamp_type(), &
+        utc_now(), results, error)
       if (.not. allocated(error)) call publish_file(unique, partial%file, error)
       message = partial%file//': has '//to_text(count(results%task_status == task_complete)) &
         //' of '//to_text(task_count(plan))//' tasks'
@@ -398,25 +357,21 @@ contains
 
   !> Inspects the journal, which must be of this input, or of one that this input extends; if its
   !> plan is damaged, its records must not belong to another input.
-  subroutine inspect_journal(plan, complete, journal, found, error)
+  subroutine inspect_journal(plan, complete, journal, error)
     type(plan_type), intent(in) :: plan
     !> Whether the results file is complete, so that the journal is not needed any more.
     logical, intent(in) :: complete
     type(journal_type), intent(out) :: journal
-    !> Whether there is a journal with a plan.
-    logical, intent(out) :: found
     !> The journal is of another input; code `exit_bad_input`.
     type(error_type), allocatable, intent(out) :: error
-    character(len=:), allocatable :: before
-    integer(int64) :: initial_fingerprint
     integer(int64), allocatable :: task_id(:)
     type(task_index_type) :: task_index
     logical :: same
     integer :: k
 
-    call find_journal(journal, journal_folder(plan), before, initial_fingerprint, found)
-    if (found) then
-      call compare_inputs(plan, before, initial_fingerprint, same, error)
+    call find_journal(journal, journal_folder(plan))
+    if (journal%has_plan) then
+      call compare_inputs(plan, journal%namelist, journal%initial_fingerprint, same, error)
     else if (.not. complete) then
       task_id = task_ids_of(journal)
       if (size(task_id) == 0) return

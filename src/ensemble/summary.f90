@@ -14,7 +14,7 @@ module battery_summary
   use battery_columns, only: whole_text, number_text, duration_text, rate_text
   use battery_terminal, only: print_line
   use battery_command_line, only: ways_to_stop
-  use battery_text, only: string_type, to_text, count_text, numbers_text
+  use battery_text, only: to_text, count_text, numbers_text
   implicit none (type, external)
   private
   public :: print_summary, print_stop
@@ -39,12 +39,10 @@ module battery_summary
 contains
 
   !> Prints the averages, and the tasks that failed, with reasons.
-  subroutine print_summary(plan, results, failures, ranks, busy, seconds, collisions, all_done, &
+  subroutine print_summary(plan, results, ranks, busy, seconds, collisions, all_done, &
       quiet)
     type(plan_type), intent(in) :: plan
     type(results_type), intent(in) :: results
-    !> Reason for which each task failed; not allocated for the others.
-    type(string_type), intent(in) :: failures(:)
     !> Number of ranks.
     integer, intent(in) :: ranks
     !> Fraction of their time that ranks spent in tasks; duration of the run in seconds.
@@ -55,9 +53,9 @@ contains
     logical, intent(in) :: all_done, quiet
     integer :: done, task
 
-    do task = 1, size(failures)
-      if (allocated(failures(task)%text)) call print_line('task '//to_text(task)//' failed: ' &
-        //failures(task)%text)
+    do task = 1, size(results%failure)
+      if (allocated(results%failure(task)%text)) call print_line('task '//to_text(task) &
+        //' failed: '//results%failure(task)%text)
     end do
     if (quiet) return
     call print_tables(plan, results)
@@ -190,8 +188,7 @@ contains
     do k = 1, size(plan%scanned)
       associate (scanned => plan%scanned(k))
         ! The column of T is that of gate 1.
-        if (any(column_keys == scanned%place) .and. scanned%first == 1 .and. .not. &
-          allocated(scanned%second)) cycle
+        if (any(column_keys == scanned%place) .and. scanned%first == 1) cycle
       end associate
       text = trim(text//'  '//point_text(plan, p, ''))
       exit

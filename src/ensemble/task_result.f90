@@ -9,7 +9,7 @@ module battery_task_result
   use battery_observer, only: get_measured
   use battery_quantities, only: measured_type, new_measured, set_average, set_count, &
     unknown_real, fingerprint_of_quantities
-  use battery_archive, only: archive_type, new_archive, measuring_archive, archive_of
+  use battery_archive, only: archive_type, new_archive, measuring_archive
   use battery_simulation, only: simulation_type
   use battery_record_file, only: record_type, record_reader_type, next_record
   use battery_results, only: task_complete, task_failed, task_not_done
@@ -112,15 +112,13 @@ contains
     !> Result of a task, successful or failed; not changed.
     type(task_result_type), intent(inout) :: found
     type(record_type) :: record
-    type(archive_type) :: archive
 
     ! Its length is measured first: then there are no copies of large output while it grows.
-    archive = measuring_archive()
-    call serialize_result(found, archive)
-    archive = new_archive(archive%length)
-    call serialize_result(found, archive)
+    record%archive_type = measuring_archive()
+    call serialize_result(found, record%archive_type)
+    record%archive_type = new_archive(record%length)
+    call serialize_result(found, record%archive_type)
     record%owner = found%task_id
-    call move_alloc(archive%word, record%word)
   end function to_record
 
   !> Reads the next result of a file of records. A valid record may be a plan or a state under
@@ -135,7 +133,6 @@ contains
     !> Whether there is such a record.
     logical, intent(out) :: is_one
     type(record_type) :: record
-    type(archive_type) :: archive
     logical :: is_record
 
     do
@@ -143,11 +140,9 @@ contains
       call next_record(reader, record, is_record)
       is_one = .false.
       if (.not. is_record) return
-      archive = archive_of(record%word)
-      deallocate (record%word)
-      call serialize_result(found, archive)
-      if (archive%failed()) cycle
-      is_one = archive%at_end()
+      call serialize_result(found, record%archive_type)
+      if (record%failed()) cycle
+      is_one = record%at_end()
       if (is_one) exit
     end do
     found%task_id = record%owner

@@ -13,6 +13,7 @@
 #include <stdlib.h>
 #include <string.h>
 #include <sys/file.h>
+#include <sys/resource.h>
 #include <sys/stat.h>
 #include <unistd.h>
 
@@ -97,6 +98,14 @@ int battery_real_folder(const char *path, char *folder, int capacity) {
 int battery_exists(const char *path) { return access(path, F_OK) == 0; }
 int battery_may_read(const char *path) { return access(path, R_OK) == 0; }
 int battery_may_write(const char *path) { return access(path, W_OK) == 0; }
+
+/* Whether this process may have so many files open at the same time; raises its limit if that is allowed. */
+int battery_may_open(int64_t count) {
+  struct rlimit limit;
+  if (getrlimit(RLIMIT_NOFILE, &limit) != 0 || limit.rlim_cur >= (rlim_t)count) return 1;
+  limit.rlim_cur = (rlim_t)count;
+  return limit.rlim_max >= limit.rlim_cur && setrlimit(RLIMIT_NOFILE, &limit) == 0;
+}
 
 /* Makes a folder with the usual permissions. */
 int battery_make_folder(const char *path) {

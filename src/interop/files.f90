@@ -10,6 +10,7 @@ module battery_files
   implicit none (type, external)
   private
   public :: file_exists, is_readable, is_writable, is_locked, is_disk_error, files_matching
+  public :: may_open
   public :: sync_file, rename_file, remove_file, make_folder, publish_file, write_parts
   public :: file_stamp_type, file_stamp_at, has_stamp, publish_unless_replaced
 
@@ -38,6 +39,14 @@ module battery_files
       type(c_ptr), value, intent(in) :: folder
       character(kind=c_char), intent(in) :: pattern(*)
     end function c_next_like
+
+    !> Whether this process may have so many files open at the same time; its limit is raised if
+    !> that is allowed.
+    integer(c_int) function may_open(count) bind(c, name='battery_may_open')
+      import :: c_int, c_int64_t
+      implicit none (type, external)
+      integer(c_int64_t), value, intent(in) :: count
+    end function may_open
 
     subroutine c_look_at(path, seen) bind(c, name='battery_look_at')
       import :: c_char, c_int64_t

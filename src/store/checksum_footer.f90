@@ -18,7 +18,7 @@ module battery_checksum_footer
   use battery_paths, only: is_folder
   implicit none (type, external)
   private
-  public :: footer_length, footer_of, check_footer, check_discardable, copy_with_footer
+  public :: write_with_footer, check_footer, check_discardable, copy_with_footer
 
   !> Length of the footer in bytes.
   integer, parameter :: footer_length = 512
@@ -40,13 +40,13 @@ module battery_checksum_footer
 
 contains
 
-  !> Makes the footer for bytes in memory.
-  subroutine footer_of(bytes, footer, error)
+  !> Writes bytes and their footer to a new file.
+  subroutine write_with_footer(name, bytes, error)
+    !> Path of the file, which is replaced.
+    character(len=*), intent(in) :: name
     !> All bytes before the footer.
     integer(int8), intent(in), contiguous :: bytes(:)
-    !> Text of the footer.
-    character(len=footer_length), intent(out) :: footer
-    !> The digest could not be computed.
+    !> The digest could not be computed, or not all bytes could be written.
     type(error_type), allocatable, intent(out) :: error
     type(digest_type) :: digest
     character(len=:), allocatable :: digits
@@ -54,9 +54,13 @@ contains
     call begin_digest(digest)
     call add_to_digest(digest, bytes)
     call end_digest(digest, digits)
-    footer = footer_text(size(bytes, kind=int64), digits)
-    if (len(digits) /= digest_length) call fatal_error(error, 'the digest cannot be computed')
-  end subroutine footer_of
+    if (len(digits) /= digest_length) then
+      call fatal_error(error, 'the digest cannot be computed')
+    else
+      call write_parts(name, 0_int64, bytes, transfer(footer_text(size(bytes, kind=int64), &
+        digits), bytes), bytes(:0), error)
+    end if
+  end subroutine write_with_footer
 
   !> Text of the footer for `count` bytes with a digest.
   pure function footer_text(count, digits) result(footer)
@@ -180,16 +184,10 @@ contains
     !> Paths of the file and of its copy, which is made anew.
     character(len=*), intent(in) :: name, copy
     type(error_type), allocatable, intent(out) :: error
-    character(len=footer_length) :: footer
     character(len=:), allocatable :: text
-    integer(int8), allocatable :: bytes(:)
 
     call read_file(name, text, error)
-    if (allocated(error)) return
-    bytes = transfer(text, [0_int8])
-    call footer_of(bytes, footer, error)
-    if (.not. allocated(error)) call write_parts(copy, 0_int64, bytes, transfer(footer, bytes), &
-      bytes(:0), error)
+    if (.not. allocated(error)) call write_with_footer(copy, transfer(text, [0_int8]), error)
   end subroutine copy_with_footer
 
   !> Reads the bytes before the footer.

@@ -19,10 +19,9 @@ module battery_hdf5_file
     h5pset_fclose_degree_f, h5pset_fapl_core_f, h5idec_ref_f, h5lexists_f
   use hdf5, only: h5f_acc_trunc_f, h5f_acc_rdonly_f, h5f_close_strong_f, h5f_scope_global_f, &
     h5p_default_f, h5p_file_access_f
-  use battery_kinds, only: int8, int64
+  use battery_kinds, only: int8
   use battery_error, only: error_type, fatal_error, exit_failure, exit_bad_input
-  use battery_files, only: write_parts
-  use battery_checksum_footer, only: footer_length, footer_of
+  use battery_checksum_footer, only: write_with_footer
   use battery_text, only: to_text
   implicit none (type, external)
   private
@@ -166,16 +165,13 @@ contains
     !> An earlier error is kept.
     type(error_type), allocatable, intent(inout) :: error
     integer(int8), pointer, contiguous :: image(:)
-    character(len=footer_length) :: footer
     integer :: status
 
     if (file%id < 0) return
     status = 0
     if (file%is_new .and. .not. allocated(error)) then
       call get_image(file, image, status)
-      if (status == 0) call footer_of(image, footer, error)
-      if (status == 0 .and. .not. allocated(error)) call write_parts(file%name, 0_int64, image, &
-        transfer(footer, image), image(:0), error)
+      if (status == 0) call write_with_footer(file%name, image, error)
     end if
     call release_handle(file%id, status)
     file%id = no_handle

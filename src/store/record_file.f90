@@ -1,10 +1,11 @@
 !> Files of records that survive a crash of the program: results of finished tasks, saved states.
 !>
-!> A record is a header, words (an archive, `battery_archive`) and a checksum over both. Records are
-!> appended and synced to disk one by one. On reading, the first record that is truncated or does
-!> not match its checksum ends the file: the records before it are valid.
+!> A record is a header, the words of an archive (`battery_archive`) and a checksum over both.
+!> Records are appended and synced to disk one by one. On reading, the first record that is
+!> truncated or does not match its checksum ends the file: the records before it are valid.
 module battery_record_file
   use battery_kinds, only: int64
+  use battery_archive, only: archive_type
   use battery_error, only: error_type, fatal_error
   use battery_files, only: write_parts
   use battery_fingerprint, only: fingerprint_start, mix_word
@@ -14,13 +15,12 @@ module battery_record_file
   public :: record_type, append_record, write_single_record, read_single_record
   public :: record_reader_type, open_records, next_record, close_records
 
-  !> One record.
-  type :: record_type
+  !> One record: an archive of an owner.
+  type, extends(archive_type) :: record_type
     !> What the record belongs to: for a result or a state of a task, its `task_id`.
     integer(int64) :: owner = 0
     !> Of records with the same owner, that with the greatest generation is the newest.
     integer(int64) :: generation = 0
-    integer(int64), allocatable :: word(:)
   end type record_type
 
   !> A file that is read record by record: at most one record is in memory.
@@ -75,6 +75,7 @@ contains
   subroutine next_record(reader, record, found)
     !> Reader, open, or of a missing file.
     type(record_reader_type), intent(inout) :: reader
+    !> Record, to be read from its first component on.
     type(record_type), intent(out) :: record
     !> Whether there is a valid record; if not, `reader%at` does not change.
     logical, intent(out) :: found
@@ -99,6 +100,7 @@ contains
     reader%at = reader%at + word_bytes*(head_size + head(head_size) + 1)
     record%owner = head(2)
     record%generation = head(4)
+    call record%begin_reading()
   end subroutine next_record
 
   !> Closes a file of records; a reader that is not open is no error.

@@ -43,6 +43,10 @@ module battery_results
     !> (point, 1 for chi or 2 for polarised_current).
     integer(int32), allocatable :: point_status(:)
     real(dp), allocatable :: replica_error(:, :)
+    !> Number of replicas required at each point.
+    integer, allocatable :: replicas_needed(:)
+    !> Reason for which each task failed, in the order of the tasks; not allocated for the others.
+    type(string_type), allocatable :: failure(:)
     !> Number of complete tasks that ended before the last snapshot.
     integer :: short_tasks = 0
   end type results_type
@@ -60,6 +64,7 @@ contains
     counted = size(counted_quantities())
     results%replicas = replicas
     allocate (results%scanned(0), results%point(points), results%host(0))
+    allocate (results%failure(points*replicas))
     allocate (results%task_status(replicas, points), source=task_not_done)
     allocate (results%seed(replicas, points), source=unknown_count)
     allocate (results%average(replicas, points, averaged), source=unknown_real())

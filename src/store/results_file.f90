@@ -14,7 +14,7 @@ module battery_results_file
   use battery_files, only: file_stamp_type, sync_file, publish_unless_replaced, remove_file
   use battery_key, only: key_type, find_key
   use battery_keys, only: all_keys
-  use battery_task_output, only: task_output_type, output_datasets_type, prepare_outputs, &
+  use battery_task_output, only: task_output_type, output_file_type, prepare_outputs, &
     close_outputs, serialize_slabs, write_counting_scale, task_dimensions, series, snapshots, final
   use battery_hdf5_file, only: hdf5_file_type, create_file, open_file, close_file, &
     make_group, check_status, no_handle
@@ -39,9 +39,8 @@ module battery_results_file
   public :: results_file_type, create_results, write_results, publish_results
   public :: open_results, read_results, close_results, accept_results
 
-  !> An open results file, with the datasets of the output of its tasks.
-  type, extends(hdf5_file_type) :: results_file_type
-    type(output_datasets_type) :: outputs
+  !> An open results file.
+  type, extends(output_file_type) :: results_file_type
     !> Of a file that was opened: version of the program, namelist, `complete` or `partial`, and
     !> fingerprint of the initial file; 0: there was none.
     character(len=:), allocatable :: version, namelist, status
@@ -95,7 +94,7 @@ contains
     type(error_type), allocatable, intent(inout) :: error
 
     if (file%id == no_handle) return
-    call close_outputs(file%hdf5_file_type, file%outputs, error)
+    call close_outputs(file, error)
     call close_file(file, error)
     call publish_temporary(name, before, error)
   end subroutine publish_results
@@ -143,8 +142,8 @@ contains
     do p = 1, merge(0, file%plan%point_count, allocated(error))
       point = point_of(file%plan, p)
       do r = 1, file%plan%replicas
-        if (results%task_status(r, p) == task_complete) call serialize_slabs(file, file%outputs, &
-          r, p, point%number, output, error)
+        if (results%task_status(r, p) == task_complete) call serialize_slabs(file, &
+          r + (p - 1)*file%plan%replicas, point%number, output, error)
       end do
     end do
     call close_results(file)
@@ -226,7 +225,6 @@ contains
     type(results_type), intent(out) :: results
     type(error_type), allocatable, intent(out) :: error
 
-    call close_outputs(file%hdf5_file_type, file%outputs, error)
     if (file%version /= program_version) then
       call fatal_error(error, file%name//' is of another version')
     else
@@ -245,8 +243,6 @@ contains
     !> An error that is ignored: the file was only read.
     type(error_type), allocatable :: ignored
 
-    if (file%id == no_handle) return
-    call close_outputs(file%hdf5_file_type, file%outputs, ignored)
     call close_file(file, ignored)
   end subroutine close_results
 
@@ -283,8 +279,8 @@ contains
     end do
   end subroutine read_tasks
 
-  !> Opens series and states, if any task is complete, and checks that there is memory for those of
-  !> one task.
+  !> Opens series and states, if any task is complete and they are not open yet, and checks that
+  !> there is memory for those of one task.
   subroutine open_outputs(file, results, error)
     type(results_file_type), intent(inout) :: file
     type(results_type), intent(in) :: results
@@ -293,7 +289,7 @@ contains
     integer(int64) :: entries(3)
     integer :: length(4), most
 
-    if (all(results%task_status /= task_complete)) return
+    if (all(results%task_status /= task_complete) .or. any(file%length > 0)) return
     length = 0
     associate (plan => file%plan)
       if (plan%series_interval > 0.0_wp) then
@@ -312,7 +308,7 @@ contains
       if (plan%final_state) length(final) = most
       call check_memory_of(bytes_per_state*most*(size(plan%snapshot_times) + merge(1, 0, &
         plan%final_state)), '/snapshots and /final', file, error)
-      call prepare_outputs(file%hdf5_file_type, plan, length, .false., file%outputs, error)
+      call prepare_outputs(file, plan, length, .false., error)
     end associate
   end subroutine open_outputs
 

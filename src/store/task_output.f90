@@ -22,7 +22,7 @@ module battery_task_output
   implicit none (type, external)
   private
   public :: task_output_type, serialize_output, ended_early, series, snapshots, final, events
-  public :: output_datasets_type, prepare_outputs, serialize_slabs, close_outputs, &
+  public :: output_file_type, prepare_outputs, serialize_slabs, close_outputs, &
     write_counting_scale, task_dimensions
 
   !> Groups of datasets that have the same extents.
@@ -61,15 +61,16 @@ module battery_task_output
     type(table_type) :: of(4)
   end type task_output_type
 
-  !> Datasets of an open file: (column, group).
-  type :: output_datasets_type
+  !> A file with the datasets of the output of its tasks, which are open as long as the file is.
+  type, extends(hdf5_file_type) :: output_file_type
     !> Length of the first dimension of each group: greatest number of entries, or of particles, of
     !> any task; number of events. 0: the file has no series, no snapshots, no final states.
     integer :: length(4) = 0
-    !> Number of snapshots.
-    integer, private :: times = 0
+    !> Number of snapshots, and of replicas of a point.
+    integer, private :: times = 0, replicas = 1
+    !> Datasets: (column, group).
     type(dataset_type), private :: dataset(maxval(columns), 4)
-  end type output_datasets_type
+  end type output_file_type
 
   !> Paths of the dimension scales of numbers that every task has, in Fortran order.
   character(len=*), parameter :: task_dimensions(*) = [character(len=8) :: '/replica', '/point']
@@ -137,34 +138,33 @@ contains
 
   !> Creates the datasets of a new file, or opens those of a file that is read, which must have
   !> these extents. Does nothing after an error.
-  subroutine prepare_outputs(file, plan, length, has_events, datasets, error)
+  subroutine prepare_outputs(file, plan, length, has_events, error)
     !> File, open.
-    class(hdf5_file_type), intent(in) :: file
+    class(output_file_type), intent(inout) :: file
     !> Plan of the file.
     type(plan_type), intent(in) :: plan
     !> Length of the first dimension of each group.
     integer, intent(in) :: length(4)
     !> Whether there is an event log, which may be empty; it is only written.
     logical, intent(in) :: has_events
-    !> Open datasets, to be closed with `close_outputs`.
-    type(output_datasets_type), intent(out) :: datasets
     type(error_type), allocatable, intent(inout) :: error
     character(len=19) :: scales(4)
     integer, allocatable :: extents(:)
     type(output_type), allocatable :: list(:)
     integer :: group, k
 
-    datasets%length = length
-    datasets%times = size(plan%snapshot_times)
+    file%length = length
+    file%times = size(plan%snapshot_times)
+    file%replicas = plan%replicas
     scales(2:) = [character(len=19) :: '/snapshots/time', task_dimensions]
     do group = series, events
       if (merge(.not. has_events, length(group) == 0, group == events)) cycle
       if (file%is_new) call write_group(file, plan, group, length(group), error)
-      extents = [length(group), datasets%times, plan%replicas, plan%point_count]
+      extents = [length(group), file%times, plan%replicas, plan%point_count]
       scales(1) = trim(group_path(group))//trim(first_dimension(group))
       list = outputs(group)
       do k = 1, size(list)
-        associate (one => list(k), dataset => datasets%dataset(k, group), has => has(:, group))
+        associate (one => list(k), dataset => file%dataset(k, group), has => has(:, group))
           if (one%is_count) then
             call prepare_dataset(file, trim(one%path), pack(extents, has), merge(0, &
               int(unknown_count, int32), group == events), trim(one%unit), trim(one%meaning), &
@@ -213,30 +213,30 @@ contains
 
   !> Writes the output of a task to its hyperslabs of a new file, or reads all but events; then all
   !> tables are allocated. Does nothing after an error.
-  subroutine serialize_slabs(file, datasets, replica, point, number, output, error)
-    !> File, open, as the datasets in it are.
-    class(hdf5_file_type), intent(in) :: file
-    type(output_datasets_type), intent(in) :: datasets
-    !> Indices of the task, from 1, and its number of particles.
-    integer, intent(in) :: replica, point, number
+  subroutine serialize_slabs(file, task, number, output, error)
+    !> File from `prepare_outputs`.
+    class(output_file_type), intent(in) :: file
+    !> Number of the task in the plan of the file, and its number of particles.
+    integer, intent(in) :: task, number
     !> Output of the task; if it is written, all tables are allocated, at most as long as the
     !> datasets.
     type(task_output_type), intent(inout) :: output
     type(error_type), allocatable, intent(inout) :: error
-    integer :: group, times, rows, k
+    integer :: group, times, rows, replica, point, k
 
+    point = (task - 1)/file%replicas + 1
+    replica = task - (point - 1)*file%replicas
     do group = series, events
-      times = merge(datasets%times, 1, group == snapshots)
+      times = merge(file%times, 1, group == snapshots)
       if (.not. file%is_new) then
-        rows = merge(datasets%length(group), times*min(number, datasets%length(group)), &
-          group == series)
+        rows = merge(file%length(group), times*min(number, file%length(group)), group == series)
         if (allocated(output%of(group)%values)) deallocate (output%of(group)%values)
         allocate (output%of(group)%values(merge(0, rows, group == events), columns(group)), &
           source=unknown_real())
       end if
       rows = size(output%of(group)%values, 1)
       do k = 1, merge(columns(group), 0, rows > 0)
-        call serialize_slab(file, datasets%dataset(k, group), output%of(group)%values(:, k), &
+        call serialize_slab(file, file%dataset(k, group), output%of(group)%values(:, k), &
           pack([rows/times, times, 1, 1], has(:, group)), &
           pack([1, 1, replica, point], has(:, group)), error)
       end do
@@ -259,19 +259,17 @@ contains
     end associate
   end function ended_early
 
-  !> Closes the datasets of a file that is still open.
-  subroutine close_outputs(file, datasets, error)
+  !> Closes the datasets of a new file, which frees the memory of their chunks.
+  subroutine close_outputs(file, error)
     !> File, still open.
-    class(hdf5_file_type), intent(in) :: file
-    !> Datasets, which may be open.
-    type(output_datasets_type), intent(inout) :: datasets
-    !> Not all values could be written to a new file; an earlier error is kept.
+    class(output_file_type), intent(inout) :: file
+    !> Not all values could be written to the file; an earlier error is kept.
     type(error_type), allocatable, intent(inout) :: error
     integer :: group, k
 
     do group = series, events
       do k = 1, columns(group)
-        call release_dataset(file, datasets%dataset(k, group), error)
+        call release_dataset(file, file%dataset(k, group), error)
       end do
     end do
   end subroutine close_outputs
