@@ -57,7 +57,8 @@ def workshop() -> Path:
 @functools.cache
 def undisturbed(engine: str = "excursion", threshold: int = 3, collisions: int = 0) -> Path:
     """Give the results of a run that nobody disturbs; collisions 0: as many as usual."""
-    folder = workshop() / f"{engine}_{threshold}_{collisions}"
+    # Trials at the same time may each make them.
+    folder = Path(tempfile.mkdtemp(dir=workshop()))
     write(
         folder,
         engine,
