@@ -24,6 +24,10 @@ module battery_disc_passages
   !> Number of rounds in which few visits end: the arrays are compacted after every second call.
   integer, parameter :: early_rounds = 2
 
+  !> A passage starts on the wall if its start is not further from the circle, along the path, than
+  !> this, in units of the radius: some times the rounding error of a path traced back to there.
+  real(wp), parameter :: wall_margin = 1.0e-12_wp
+
 contains
 
   !> Computes the passages of a batch of visits through the disc: from position and velocity at the
@@ -34,16 +38,20 @@ contains
     type(disc_type), intent(in) :: disc
     type(visits_type), intent(inout) :: visits
     integer :: n, n_active, j, active, round
-    logical :: grazing
+    logical :: uncommon
 
     n = group_size*((visits%count + group_size - 1)/group_size)
     visits%all_hits = 0
     visits%many_hits_count = 0
+    visits%wall_starts_count = 0
     if (n == 0) return
     call find_first_impacts(n, 1.0_wp/disc%radius, visits%x, visits%y, visits%u_axial, &
       visits%u_lateral, visits%c, visits%s, visits%px, visits%py, visits%zx, visits%zy, &
-      visits%steps, visits%first, grazing)
-    if (grazing) call recompute_grazing_incidences(disc, visits)
+      visits%steps, visits%first, uncommon)
+    if (uncommon) then
+      call recompute_grazing_incidences(disc, visits)
+      call list_wall_starts(disc, visits)
+    end if
     active = visits%count
     call number_slots(active, visits%slot)
     if (disc%stepping_pays) then
@@ -132,17 +140,19 @@ contains
   !> Computes incidence, first impact, rotation from impact to impact, and length until the first
   !> impact.
   pure subroutine find_first_impacts(n, curvature, x, y, ux, uy, c, s, px, py, zx, zy, steps, &
-    first, grazing)
+    first, uncommon)
     integer, intent(in) :: n
     real(wp), intent(in) :: curvature, x(n), y(n), ux(n), uy(n)
     real(wp), intent(out) :: c(n), s(n), px(n), py(n), zx(n), zy(n), steps(n), first(n)
-    !> Whether a cosine is so small that it has lost digits in 1 - s**2.
-    logical, intent(out) :: grazing
-    real(wp) :: sine, cosine
+    !> Whether a cosine is so small that it has lost digits in 1 - s**2, or a passage may start on
+    !> the wall.
+    logical, intent(out) :: uncommon
+    real(wp) :: sine, cosine, outward, radial, near
     integer :: j
     integer(int64) :: low
 
     low = 0
+    near = wall_margin/curvature
     do j = 1, n
       sine = (x(j)*uy(j) - y(j)*ux(j))*curvature
       cosine = sqrt(max((1.0_wp - sine)*(1.0_wp + sine), 0.0_wp))
@@ -150,13 +160,15 @@ contains
       py(j) = uy(j)*cosine - ux(j)*sine
       zx(j) = (sine - cosine)*(sine + cosine)
       zy(j) = 2.0_wp*sine*cosine
-      first(j) = cosine/curvature - (x(j)*ux(j) + y(j)*uy(j))
+      outward = x(j)*ux(j) + y(j)*uy(j)
+      radial = cosine/curvature
+      first(j) = radial - outward
       c(j) = cosine
       s(j) = sine
       steps(j) = 0.0_wp
-      low = low + merge(1_int64, 0_int64, cosine < grazing_cosine)
+      low = low + merge(1_int64, 0_int64, cosine < grazing_cosine .or. radial - abs(outward) < near)
     end do
-    grazing = low > 0
+    uncommon = low > 0
   end subroutine find_first_impacts
 
   !> Recomputes cosine and sine of the angle of incidence, where it is grazing, to full precision.
@@ -182,6 +194,25 @@ contains
       visits%first(j) = disc%radius*c - (visits%x(j)*ux + visits%y(j)*uy)
     end do
   end subroutine recompute_grazing_incidences
+
+  !> Lists the passages that start on the wall, or at the end of a chord and so on the circle too:
+  !> traced back to there, rounding decides whether the particle was reflected.
+  pure subroutine list_wall_starts(disc, visits)
+    type(disc_type), intent(in) :: disc
+    type(visits_type), intent(inout) :: visits
+    real(wp) :: half_width, distance
+    integer :: j
+
+    do j = 1, visits%count
+      half_width = disc%half_width(merge(channel1, channel2, visits%x(j) > 0.0_wp))
+      distance = min(visits%first(j), 2.0_wp*disc%radius*visits%c(j) - visits%first(j))
+      ! Within a tiny opening the circle is so near everywhere; but there a reflection would come
+      ! from the channel (`trace_back_into_channel`).
+      if (max(distance, 0.25_wp*(half_width - abs(visits%y(j)))) > wall_margin*disc%radius) cycle
+      visits%wall_starts_count = visits%wall_starts_count + 1
+      visits%wall_start_index(visits%wall_starts_count) = j
+    end do
+  end subroutine list_wall_starts
 
   !> Computes `march_steps` impacts of each particle; one whose impact lies in an opening stays
   !> there. All impacts are computed first, as if there were no opening; then the first that lies in

@@ -68,8 +68,9 @@ module battery_table
     logical :: trapped = .false., moves_away = .false.
     !> Time until the particle reaches its urn; below 0: minus the time since it left the urn.
     real(wp) :: time = 0.0_wp
-    !> If the particle moves away from its urn: height at which it left the urn; -1 if u_y has
-    !> changed its sign since, else 1; wall hits since.
+    !> Height; if the particle moves away from its urn: at which it left the urn, -1 if u_y has
+    !> changed its sign since, else 1, and wall hits since. A particle on a wall that moves away from
+    !> it, or along it, has no hit there: its height is less by a rounding error.
     real(wp) :: height = 0.0_wp, reflected = 1.0_wp, hits = 0.0_wp
   end type passage_type
 
@@ -279,7 +280,7 @@ contains
     real(wp), intent(in) :: x, y, ux, uy
     type(passage_type) :: passage
     real(wp), parameter :: most_hits = 4.0e18_wp
-    real(wp) :: depth, outward
+    real(wp) :: depth, outward, height
 
     passage%urn = urn_at(table, x)
     passage%chamber = chamber_at(table, x, y, huge(1.0_wp))
@@ -302,7 +303,11 @@ contains
       end if
       passage%time = -depth/outward
       passage%moves_away = outward > 0.0_wp
-      if (passage%moves_away) call fold_into_channel(y - uy*depth/outward, channel%width, &
+      height = y
+      if (abs(y) >= 0.5_wp*channel%width .and. y*uy <= 0.0_wp) height = 0.5_wp*(1.0_wp &
+        - epsilon(y))*sign(channel%width, y)
+      passage%height = height
+      if (passage%moves_away) call fold_into_channel(height - uy*depth/outward, channel%width, &
         passage%height, passage%reflected, passage%hits)
     end associate
   end function passage_at

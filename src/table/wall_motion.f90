@@ -32,6 +32,9 @@ contains
 
     motion = motion_type(x=x, y=y, ux=ux, uy=uy, urn=int(urn_at(table, x), int8), &
       chamber=int(chamber_at(table, x, y, huge(1.0_wp)), int8))
+    ! The sign of zero tells that a particle that glides along the wall of a channel has been
+    ! reflected there.
+    if (.not. abs(uy) > 0.0_wp) motion%uy = sign(0.0_wp, -y)
   end function motion_at
 
   !> Finds the first wall or line (chord, middle line or periodic line) that a particle reaches, and

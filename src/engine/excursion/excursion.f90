@@ -134,7 +134,7 @@ module battery_excursion
     integer, allocatable :: resumed(:)
     !> Their next parts.
     type(visits_type) :: partial_visits
-    !> Start of each long visit; if channel 2 has discs, `scatterer_visits` holds the start
+    !> Start of each long visit, and of those that start on the wall; if channel 2 has discs, `scatterer_visits` holds the start
     !> of every visit.
     type(long_visits_type) :: long_visits
     !> Start of the latest passage of each particle through a polygon.
@@ -243,7 +243,8 @@ contains
           call compute_urn_passages(self, b)
           associate (v => self%visits(b))
             do j = 1, v%count
-              if (.not. is_long_visit(self%long_visits%least, v%channel(j), v%length(j))) cycle
+              if (.not. (is_long_visit(self%long_visits%least, v%channel(j), v%length(j)) &
+                .or. any(v%wall_start_index(:v%wall_starts_count) == j))) cycle
               i = v%particle(j)
               call set_flight_to_visit_start(self%table, particles%x(i), particles%y(i), &
                 particles%ux(i), particles%uy(i), self%flight(i), v%hits(j))
@@ -292,14 +293,14 @@ contains
   end subroutine compute_urn_passages
 
   !> Writes the flights in which the visits of batch `b` end to the flights of their particles, and
-  !> the starts of its long visits to `long_visits`.
+  !> the starts of those that are long, or start on the wall, to `long_visits`.
   subroutine store_batch_flights(self, b)
     type(excursion_type), intent(inout) :: self
     integer, intent(in) :: b
 
     associate (v => self%visits(b))
-      if (v%many_hits_count > 0) call store_visit_starts(self%long_visits, self%number, &
-        self%flight, v)
+      if (v%many_hits_count + v%wall_starts_count > 0) call store_visit_starts(self%long_visits, &
+        self%number, self%flight, v)
       call store_flights(self%number, self%flight, v%count, v%particle, v%urn, v%channel, v%time, &
         v%length, v%y, v%u_axial, v%u_lateral, v%through)
       if (self%table%urn(b)%truncates_passages) self%partial_count = self%partial_count &
@@ -433,7 +434,7 @@ contains
         call locate_by_replay(self%table, self%scatterer_visits%visit_start(i), self%now, state, &
           hits)
       else
-        from_start = is_nearer_start(self%long_visits, flight, self%now)
+        from_start = is_nearer_start(self%long_visits, i, flight, self%now)
         if (from_start) then
           call locate_from_start(self%long_visits, urn, i, self%now, state(:2), state(3:), hits)
         else

@@ -59,15 +59,21 @@ contains
   !> Starts a visit for each particle of the batch, as `cross_channels` leaves it.
   subroutine begin_scatterer_visits(self)
     type(excursion_type), intent(inout) :: self
-    integer :: j, chamber
-    real(wp) :: x
+    integer :: j
 
     associate (v => self%visits(1))
       do j = 1, v%count
-        chamber = merge(in_urn, in_channel2, v%channel(j) == channel1)
-        x = merge(self%table%urn(v%urn(j))%chord(channel1), 0.0_wp, v%channel(j) == channel1)
-        call begin_scatterer_visit(self, v%particle(j), visit_start_at(v%time(j), v%urn(j), &
-          chamber, x, v%y(j), v%u_axial(j), v%u_lateral(j)), int(v%hits(j), int64))
+        associate (flight => self%flight(v%particle(j)))
+          if (v%channel(j) == channel1) then
+            call begin_scatterer_visit(self, v%particle(j), visit_start_at(v%time(j), v%urn(j), &
+              in_urn, self%table%urn(v%urn(j))%chord(channel1), v%y(j), v%u_axial(j), &
+              v%u_lateral(j)), int(v%hits(j), int64))
+          else
+            ! At the line, no channel has been crossed: on a wall, `cross_channels` finds a hit.
+            call begin_scatterer_visit(self, v%particle(j), visit_start_at(flight%time, v%urn(j), &
+              in_channel2, 0.0_wp, flight%y, flight%u_axial, flight%u_lateral), 0_int64)
+          end if
+        end associate
       end do
     end associate
   end subroutine begin_scatterer_visits

@@ -115,7 +115,7 @@ contains
         visits%urn(at) = passage%urn
         visits%time(at) = 0.0_wp
         visits%reversal_time(at) = never
-        visits%y(at) = y
+        visits%y(at) = merge(passage%height, y, from_channels)
         visits%u_lateral(at) = uy
         ! In an urn: in the frame of the urn. In a channel: as `cross_channels` expects it.
         visits%hits(at) = 0.0_wp
@@ -123,9 +123,6 @@ contains
         visits%passage(at) = passage%time
         visits%u_axial(at) = merge(abs(ux), urn%axis_sign*ux, from_channels)
         if (from_channels) visits%channel(at) = passage%channel
-        ! In the corner of an opening, away from the wall: no hit, as elsewhere on the wall.
-        if (from_channels .and. .not. passage%time > 0.0_wp .and. y*uy < 0.0_wp) &
-          visits%y(at) = y*(1.0_wp - epsilon(y))
         visits%count = at
       end associate
     end if
@@ -156,7 +153,7 @@ contains
     else
       flight%next_event = merge(counted_in_gate, to_periodic_line, passage%channel == channel1)
       flight%time = 0.0_wp
-      flight%y = y
+      flight%y = passage%height
       flight%u_axial = abs(ux)
       flight%u_lateral = uy
       flight%through = passage%time

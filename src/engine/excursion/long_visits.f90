@@ -3,11 +3,13 @@
 !> A flight holds the end of a visit. Tracing back from there adds a rounding error for each unit of
 !> length, and a visit may be 1e13 long. So the start of a visit is stored if the visit is long,
 !> never ends, or is truncated; while a particle is nearer to the start of its visit than to its
-!> end, it is located forwards from the start.
+!> end, it is located forwards from the start. The start is stored too if it is a corner between a
+!> channel and a disc, or lies on the arc: traced back to there, the particle may have come from the
+!> channel, or from the urn.
 !>
 !> A start is a copy of the previous flight: a few words are copied, nothing is computed. It is
-!> valid as long as the flight of its particle belongs to a long visit; invalid ones are dropped
-!> when the store is full.
+!> valid as long as it belongs to the visit before the flight of its particle; invalid ones are
+!> dropped when the store is full.
 module battery_long_visits
   use battery_kinds, only: wp, int16, int32, int64
   use battery_channel, only: fold_into_channel, channel1, channel2, facing, no_channel
@@ -26,6 +28,10 @@ module battery_long_visits
   !> fewer than `many_hits` = 112 hits is never long: it is at most 112 straight pieces, each of at
   !> most twice the reach.
   real(wp), parameter :: long = 256.0_wp
+
+  !> Times differ by less, in units of the length of a long visit, if they are equal but for
+  !> rounding.
+  real(wp), parameter :: same_time = 1.0e-11_wp
 
   !> The start of a visit, in one cache line.
   type :: visit_start_type
@@ -81,9 +87,11 @@ contains
     yes = length > least .or. channel < channel1
   end function is_long_visit
 
-  !> Whether the visit before this flight is long.
-  elemental function has_long_visit(visits, flight) result(yes)
+  !> Whether the start of the visit before this flight is stored.
+  pure function has_start(visits, particle, flight) result(yes)
     type(long_visits_type), intent(in) :: visits
+    !> Its particle.
+    integer, intent(in) :: particle
     type(flight_type), intent(in) :: flight
     logical :: yes
 
@@ -92,14 +100,32 @@ contains
       yes = .true.
     case (to_gate, to_periodic_line)
       yes = flight%length > visits%least
+      if (yes .or. .not. allocated(visits%place)) return
+      if (visits%place(particle) == 0) return
+      ! The start of an earlier visit is before the end of that one.
+      associate (visit_start => visits%visit_start(visits%place(particle)))
+        yes = visit_start%time + passage_before(visit_start) > flight%time - flight%length &
+          - same_time*visits%least
+      end associate
     case default
       yes = .false.
     end select
-  end function has_long_visit
+  end function has_start
 
-  !> Stores the starts of the long visits of a batch, before `store_flights` overwrites the flights.
+  !> Time that the particle spends in the channel before the urn.
+  pure function passage_before(visit_start) result(passage)
+    type(visit_start_type), intent(in) :: visit_start
+    real(wp) :: passage
+
+    passage = merge(2.0_wp*(visit_start%reversal_time - visit_start%time), visit_start%through, &
+      visit_start%reversal_time < never)
+    if (visit_start%next_event == partial_visit) passage = 0.0_wp
+  end function passage_before
+
+  !> Stores the starts of the visits of a batch that are long, or start on the wall, before
+  !> `store_flights` overwrites the flights.
   pure subroutine store_visit_starts(visits, number, flight, batch)
-    !> Updated with the starts of the long visits of the batch.
+    !> Updated with the starts.
     type(long_visits_type), intent(inout) :: visits
     !> Number of particles.
     integer, intent(in) :: number
@@ -108,21 +134,26 @@ contains
     !> Visits of the batch, computed; `reversal_time` is the time at which a gate reversed a
     !> particle before, or `never`.
     type(visits_type), intent(in) :: batch
-    integer :: i, j, k
+    integer :: i, j, k, listed
 
-    do k = 1, batch%many_hits_count
-      j = batch%many_hits_index(k)
-      if (.not. is_long_visit(visits%least, batch%channel(j), batch%length(j))) cycle
+    listed = batch%many_hits_count + batch%wall_starts_count
+    do k = 1, listed
+      if (k <= batch%wall_starts_count) then
+        j = batch%wall_start_index(k)
+      else
+        j = batch%many_hits_index(k - batch%wall_starts_count)
+        if (.not. is_long_visit(visits%least, batch%channel(j), batch%length(j))) cycle
+      end if
       ! Allocates for the whole batch, before its first start is stored: a start that has just been
       ! stored still belongs to an old flight, so a later call would drop it as finished.
-      if (visits%count + batch%many_hits_count - k >= visits%capacity) &
-        call grow_visit_starts(visits, flight, batch%many_hits_count - k + 1)
+      if (visits%count + listed - k >= visits%capacity) &
+        call grow_visit_starts(visits, flight, listed - k + 1)
       i = batch%particle(j)
       call store_visit_start(visits, i, flight(i), batch%reversal_time(j), batch%hits(j))
     end do
   end subroutine store_visit_starts
 
-  !> Stores the start of a long visit before its flight is overwritten; the store is not full.
+  !> Stores the start of a visit before its flight is overwritten; the store is not full.
   pure subroutine store_visit_start(visits, particle, flight, reversal_time, hits)
     type(long_visits_type), intent(inout) :: visits
     !> Its particle.
@@ -175,12 +206,14 @@ contains
     type(long_visits_type), intent(inout) :: visits
     type(flight_type), intent(in) :: flight(:)
     integer :: at, kept, i
+    logical :: valid
 
     kept = 0
     do at = 1, visits%count
       i = visits%visit_start(at)%particle
+      valid = has_start(visits, i, flight(i))
       visits%place(i) = 0
-      if (.not. has_long_visit(visits, flight(i))) cycle
+      if (.not. valid) cycle
       kept = kept + 1
       visits%visit_start(kept) = visits%visit_start(at)
       visits%place(i) = int(kept, int32)
@@ -190,15 +223,17 @@ contains
 
   !> Whether a particle is to be located forwards: the start of its visit is stored, and is nearer
   !> than the end.
-  pure function is_nearer_start(visits, flight, now) result(yes)
+  pure function is_nearer_start(visits, particle, flight, now) result(yes)
     !> The store.
     type(long_visits_type), intent(in) :: visits
+    !> Its index.
+    integer, intent(in) :: particle
     type(flight_type), intent(in) :: flight
     !> On the clock of the flight.
     real(wp), intent(in) :: now
     logical :: yes
 
-    yes = has_long_visit(visits, flight)
+    yes = has_start(visits, particle, flight)
     if (yes .and. flight%next_event /= trapped_in_urn) &
       yes = flight%time - now > 0.5_wp*flight%length
   end function is_nearer_start
@@ -226,8 +261,7 @@ contains
           visit_start%u_lateral, now - visit_start%time, position, velocity, hits)
       else
         from = merge(channel2, channel1, visit_start%next_event == to_periodic_line)
-        passage = merge(2.0_wp*(visit_start%reversal_time - visit_start%time), &
-          visit_start%through, visit_start%reversal_time < never)
+        passage = passage_before(visit_start)
         begins = visit_start%time + passage
         x = facing(from)*urn%chord(from)
         call fold_into_channel(visit_start%y + visit_start%u_lateral*passage, urn%width(from), y, &

@@ -12,7 +12,7 @@ module battery_precomputed_visits
   use battery_flight, only: flight_type, load_flights, never, partial_visit, to_gate
   use battery_passage_starts, only: passage_starts_type, store_passage_starts, set_passage_start
   use battery_urn, only: urn_type, compute_passages
-  use battery_visits, only: visits_type
+  use battery_visits, only: visits_type, many_hits
   implicit none (type, external)
   private
   public :: precomputed_visits_type, precomputing_pays, take_or_compute_visits
@@ -27,6 +27,8 @@ module battery_precomputed_visits
   !> A precomputed visit: its particle, and what `compute_passages` yields of it.
   type :: precomputed_visit_type
     integer :: particle = 0
+    !> Whether it is on the list `wall_start_index`.
+    logical :: starts_on_wall = .false.
     integer(int64) :: channel = 0
     real(wp) :: time = 0.0_wp, length = 0.0_wp, y = 0.0_wp, u_axial = 0.0_wp, u_lateral = 0.0_wp, &
       through = 0.0_wp, hits = 0.0_wp
@@ -97,6 +99,10 @@ contains
           visits%u_lateral(j) = known%u_lateral
           visits%through(j) = known%through
           visits%hits(j) = known%hits
+          if (known%starts_on_wall) then
+            visits%wall_starts_count = visits%wall_starts_count + 1
+            visits%wall_start_index(visits%wall_starts_count) = j
+          end if
           computed_hits = computed_hits + int(known%hits, int64)
           if (urn%truncates_passages) call set_passage_start(passage_starts, &
             visits%particle(j), precomputed%start(:, slot), known%time)
@@ -129,19 +135,44 @@ contains
       do j = started + 1, visits%count
         precomputed%last = slot_after(precomputed%last)
         precomputed%visit(precomputed%last) = precomputed_visit_type(visits%particle(j), &
-          visits%channel(j), visits%time(j), visits%length(j), visits%y(j), visits%u_axial(j), &
-          visits%u_lateral(j), visits%through(j), visits%hits(j))
+          .false., visits%channel(j), visits%time(j), visits%length(j), visits%y(j), &
+          visits%u_axial(j), visits%u_lateral(j), visits%through(j), visits%hits(j))
         flight(visits%particle(j))%precomputed_slot = int(precomputed%last, int32)
         computed_hits = computed_hits - int(visits%hits(j), int64)
       end do
       visits%count = started
+      if (visits%wall_starts_count > 0) call mark_wall_starts(visits, flight, precomputed)
     end if
-    visits%many_hits_count = started
+    visits%many_hits_count = 0
     do j = 1, started
-      visits%many_hits_index(j) = j
+      if (visits%hits(j) >= many_hits .or. visits%channel(j) < channel1) then
+        visits%many_hits_count = visits%many_hits_count + 1
+        visits%many_hits_index(visits%many_hits_count) = j
+      end if
       flight(visits%particle(j))%precomputed_slot = 0
     end do
   end subroutine take_or_compute_visits
+
+  !> Marks those of the visits just stored whose passages start on the wall, and takes them off the
+  !> list of the visits that begin now.
+  pure subroutine mark_wall_starts(visits, flight, precomputed)
+    type(visits_type), intent(inout) :: visits
+    type(flight_type), intent(in) :: flight(:)
+    type(precomputed_visits_type), intent(inout) :: precomputed
+    integer :: j, k, kept
+
+    kept = 0
+    do k = 1, visits%wall_starts_count
+      j = visits%wall_start_index(k)
+      if (j > visits%count) then
+        precomputed%visit(flight(visits%particle(j))%precomputed_slot)%starts_on_wall = .true.
+      else
+        kept = kept + 1
+        visits%wall_start_index(kept) = j
+      end if
+    end do
+    visits%wall_starts_count = kept
+  end subroutine mark_wall_starts
 
   !> Slot that is written after a given one.
   elemental integer function slot_after(slot)

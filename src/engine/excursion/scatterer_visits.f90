@@ -76,6 +76,8 @@ contains
     type(motion_type) :: visit_start
 
     visit_start = motion_type(x, y, ux, uy, time, int(urn, int8), int(chamber, int8))
+    ! Along a wall, as in `motion_at`.
+    if (.not. abs(uy) > 0.0_wp) visit_start%uy = sign(0.0_wp, -y)
   end function visit_start_at
 
   !> Empties the batch, and allocates it for `capacity` visits if it is smaller.

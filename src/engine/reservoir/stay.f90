@@ -119,6 +119,7 @@ contains
     else if (passage%channel /= no_channel) then
       stay%phase = int(merge(from_gate, from_channel2, passage%channel == channel1), int32)
       urn_entry_time = passage%time
+      stay%y = passage%height
       stay%hits = real(channel_hits(table, stay, urn_entry_time), wp)
     end if
   end subroutine make_initial_stay

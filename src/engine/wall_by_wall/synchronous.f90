@@ -232,11 +232,14 @@ contains
 
     motion%x = self%field(field_index(self, i, in_x))
     motion%y = self%field(field_index(self, i, in_y))
-    motion%ux = self%field(field_index(self, i, in_ux)) + self%trapped_ux(i)
-    motion%uy = self%field(field_index(self, i, in_uy)) + self%trapped_uy(i)
+    motion%ux = self%field(field_index(self, i, in_ux))
+    motion%uy = self%field(field_index(self, i, in_uy))
     motion%urn = self%urn(i)
     motion%chamber = self%chamber(i)
     motion%next = self%next(i)
+    if (motion%next /= meets_nothing) return
+    motion%ux = self%trapped_ux(i)
+    motion%uy = self%trapped_uy(i)
   end function motion_now
 
   !> Stores particle `i` in its row, with the time `wait` left until its next event.
