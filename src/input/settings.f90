@@ -3,6 +3,7 @@
 !>
 !> The list of keys is an argument.
 module battery_settings
+  use battery_archive, only: archive_type
   use battery_kinds, only: wp, int32, int64
   use battery_text, only: string_type, to_text, lower_case, join, closest_word
   use battery_numbers, only: read_whole, read_decimal
@@ -12,7 +13,7 @@ module battery_settings
     real_key, text_key, logical_key, longest_text, longest_range
   implicit none (type, external)
   private
-  public :: settings_type, read_settings, find_setting
+  public :: settings_type, read_settings, serialize_settings, find_setting
   public :: get_value, get_list, get_text
 
   !> The value of one key; the type of the key determines the component that is used.
@@ -84,6 +85,31 @@ contains
       end associate
     end do
   end subroutine read_settings
+
+  !> Saves or restores the values of all keys, so that others need not parse the text.
+  pure subroutine serialize_settings(settings, archive)
+    !> On reading, its keys must be there, as `read_settings` leaves them after an empty text.
+    type(settings_type), intent(inout) :: settings
+    type(archive_type), intent(inout) :: archive
+    integer(int64), allocatable :: words(:)
+    integer :: at, items
+
+    do at = 1, size(settings%all)
+      associate (setting => settings%all(at))
+        call archive%serialize('given', setting%given)
+        call archive%serialize('known', setting%known)
+        call archive%serialize('flag', setting%flag)
+        items = size(setting%integers)
+        call archive%serialize('items', items)
+        words = [setting%integers, spread(0_int64, 1, max(0, items - size(setting%integers)))]
+        call archive%serialize('integers', words(:items))
+        setting%integers = words(:items)
+        call archive%serialize_list('reals', setting%reals)
+        call archive%serialize_text('text', setting%text)
+        call archive%serialize_text('canonical', setting%canonical)
+      end associate
+    end do
+  end subroutine serialize_settings
 
   !> Reports unknown and repeated groups.
   subroutine check_groups(keys, entries, problems)

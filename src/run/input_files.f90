@@ -9,7 +9,7 @@ module battery_input_files
   use battery_paths, only: is_folder, is_pipe_or_device, same_file, folder_of, real_folder_of, &
     follow_links
   use battery_foreign_bytes, only: is_results_file
-  use battery_namelist_input, only: check_bytes, fill_plan, set_input_error
+  use battery_namelist_input, only: check_bytes, read_plan, set_input_error
   use battery_initial_state, only: parse_particles, are_inside
   use battery_plan, only: plan_type, point_type, refuse_value, point_of, point_text, table_of
   implicit none (type, external)
@@ -40,7 +40,7 @@ contains
       if (error%code == exit_failure) error%code = exit_bad_input
       return
     end if
-    call fill_plan(text, file, plan)
+    call read_plan(text, file, plan)
     call check_files(plan)
     call set_input_error(plan, error)
     call use_initial_file(plan, error)

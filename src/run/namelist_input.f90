@@ -16,7 +16,7 @@ module battery_namelist_input
     refuse_key
   implicit none (type, external)
   private
-  public :: parse_namelist, check_bytes, fill_plan, set_input_error, differing_keys
+  public :: parse_namelist, check_bytes, read_plan, fill_plan, set_input_error, differing_keys
 
 contains
 
@@ -29,7 +29,7 @@ contains
     type(error_type), allocatable, intent(out) :: error
 
     call check_bytes(text, name, error)
-    call fill_plan(text, name, plan)
+    call read_plan(text, name, plan)
     if (.not. allocated(error)) call set_input_error(plan, error)
   end subroutine parse_namelist
 
@@ -49,9 +49,9 @@ contains
     if (message /= '') call fatal_error(error, message, exit_bad_input)
   end subroutine check_bytes
 
-  !> Parses a text, sets the components of a plan, and checks the plan. Problems of the text are
-  !> stored in its settings, those of the values in the plan.
-  subroutine fill_plan(text, name, plan)
+  !> Parses a text, and makes a plan from it. Problems of the text are stored in its settings, those
+  !> of the values in the plan.
+  subroutine read_plan(text, name, plan)
     !> Text of the whole namelist, and the name of its file.
     character(len=*), intent(in) :: text, name
     type(plan_type), intent(out) :: plan
@@ -59,6 +59,13 @@ contains
     call read_settings(text, all_keys(), plan%settings)
     plan%text = text
     plan%input_file = name
+    call fill_plan(plan)
+  end subroutine read_plan
+
+  !> Sets the components of a plan from its settings, and checks the plan.
+  subroutine fill_plan(plan)
+    type(plan_type), intent(inout) :: plan
+
     allocate (plan%scanned(0), plan%problems(0))
     call fill_values(plan%settings, plan)
     call fill_points(plan%settings, plan)
