@@ -4,7 +4,7 @@ module battery_summary
   use battery_blocks, only: error_of_mean
   use battery_keys, only: key_threshold, key_threshold_fraction, key_number, key_width
   use battery_kinds, only: wp, dp, int64
-  use battery_plan, only: plan_type, point_text
+  use battery_plan, only: plan_type, point_text, is_scanned
   use battery_table, only: channel1, channel2
   use battery_tasks, only: task_count
   use battery_precision, only: cut_between_groups
@@ -187,15 +187,9 @@ contains
         //number_text(point%channel(channel1)%width, 8, 4) &
         //number_text(point%channel(channel2)%width, 11, 6)//whole_text(which, 10)//values
     end associate
-    do k = 1, size(plan%scanned)
-      associate (scanned => plan%scanned(k))
-        ! The column of T is that of gate 1.
-        if (any(column_keys == scanned%place) .and. scanned%first == 1 .and. .not. &
-          allocated(scanned%second)) cycle
-      end associate
-      text = trim(text//'  '//point_text(plan, p, ''))
-      exit
-    end do
+    ! The column of T is that of gate 1.
+    if (is_scanned(plan, 'threshold2') .or. any([(all(column_keys /= plan%scanned(k)%place), k=1, &
+      size(plan%scanned))])) text = trim(text//'  '//point_text(plan, p, ''))
   end function row_text
 
   !> Text for quantities, each with its error.
