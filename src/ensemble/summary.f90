@@ -30,7 +30,7 @@ module battery_summary
     'current1', 'current2']
   character(len=*), parameter :: heads(4) = [character(len=22) :: '          chi  +-error', &
     '    polarised  +-error', '    current 1  +-error', '    current 2  +-error']
-  integer, parameter :: chi = 1, polarised_current = 2
+  integer, parameter :: chi = 1, polarised_current = 2, current2 = 4
 
   !> The keys that have columns in the tables.
   integer, parameter :: column_keys(5) = [key_number, key_threshold, key_threshold_fraction, &
@@ -134,7 +134,8 @@ contains
   end subroutine print_tables
 
   !> Places in `names` of what the tables show: chi and the polarised current where they are known,
-  !> the currents of the channels where a task has an error of them, or nothing else is known.
+  !> the currents of the channels where a task has an error of them, or nothing else is known; none
+  !> of channel 2 where it is closed.
   pure function shown_quantities(results) result(shown)
     type(results_type), intent(in) :: results
     integer, allocatable :: shown(:)
@@ -148,6 +149,7 @@ contains
         values = results%error(:, :, places(k))
       is_shown(k) = any(results%task_status == task_complete .and. .not. ieee_is_nan(values))
     end do
+    if (.not. any(results%point%channel(channel2)%width > 0.0_wp)) is_shown(current2) = .false.
     shown = pack([(k, k=1, size(names))], is_shown)
   end function shown_quantities
 
