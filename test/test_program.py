@@ -613,6 +613,25 @@ def test_summary_has_a_line_for_a_point_over_its_replicas(tmp_path: Path) -> Non
     assert "over replicas" not in run("--overwrite", "case.nml", folder=tmp_path).stdout
 
 
+def test_summary_tells_points_apart(tmp_path: Path) -> None:
+    """A row ends with the keys of the scan that have no column; keys that have one are not told."""
+    scan = {"channel1_length": "0.5, 1", "threshold": "1, 2", "replicas": "2"}
+    write(tmp_path, scan=scan, output={"file": "'out.h5'"})
+    lines = run("case.nml", folder=tmp_path).stdout.splitlines()
+    rows = [line for line in lines if line.split()[0] == str(NUMBER)]
+    for length in ("0.5", "1"):
+        for threshold in ("1", "2"):
+            words = f"threshold = {threshold}, channel1_length = {length}"
+            assert len([row for row in rows if row.endswith(words)]) == 3
+    assert len(rows) == 12
+    assert any(line.startswith("slowest task: ") and "channel1_length = " in line for line in lines)
+    write(tmp_path, scan={"threshold": "1, 2"}, output={"file": "'out.h5'"})
+    assert (
+        "threshold"
+        not in run("--overwrite", "case.nml", folder=tmp_path).stdout.split("complete")[0]
+    )
+
+
 def test_run_too_short_for_an_error_has_none_and_says_so(tmp_path: Path) -> None:
     """Directions relax in 32 time units here: a run of ten times that has errors, half has none."""
     wide = {"channel1_width": "0.9", "channel2_width": "0.6"}

@@ -221,9 +221,8 @@ contains
     type(communicator_type), intent(in) :: communicator
     !> Tasks to be done; used on rank 0 only.
     integer, intent(in) :: tasks(:)
-    !> This MPI has no one-sided operations between the nodes; the same error on all ranks. If
-    !> absent, MPI ends the program then.
-    type(error_type), allocatable, intent(out), optional :: error
+    !> This MPI has no one-sided operations between the nodes; the same error on all ranks.
+    type(error_type), allocatable, intent(out) :: error
     integer(MPI_ADDRESS_KIND) :: bytes
     integer :: status
     type(c_ptr) :: base
@@ -235,17 +234,15 @@ contains
     bytes = 0
     if (communicator%rank == 0) bytes = (counter_count + int(task_queue%tasks, MPI_ADDRESS_KIND)) &
       *storage_size(1_int64)/8
-    if (present(error)) call MPI_Comm_set_errhandler(communicator%ranks, MPI_ERRORS_RETURN)
+    call MPI_Comm_set_errhandler(communicator%ranks, MPI_ERRORS_RETURN)
     call MPI_Win_allocate(bytes, storage_size(1_int64)/8, MPI_INFO_NULL, communicator%ranks, base, &
       task_queue%shared_memory, status)
-    if (present(error)) then
-      call MPI_Comm_set_errhandler(communicator%ranks, MPI_ERRORS_ARE_FATAL)
-      if (status /= MPI_SUCCESS) call fatal_error(error, 'battery: '//mpi_library()//' has no ' &
-        //'one-sided operations between the nodes of these ranks; Open MPI 4 has them with ' &
-        //'OMPI_MCA_osc=^ucx in the environment of all ranks')
-      call share_error(communicator, error)
-      if (allocated(error)) return
-    end if
+    call MPI_Comm_set_errhandler(communicator%ranks, MPI_ERRORS_ARE_FATAL)
+    if (status /= MPI_SUCCESS) call fatal_error(error, 'battery: '//mpi_library()//' has no ' &
+      //'one-sided operations between the nodes of these ranks; Open MPI 4 has them with ' &
+      //'OMPI_MCA_osc=^ucx in the environment of all ranks')
+    call share_error(communicator, error)
+    if (allocated(error)) return
     call MPI_Win_lock_all(0, task_queue%shared_memory)
     if (communicator%rank == 0) then
       call c_f_pointer(base, entries, [counter_count + task_queue%tasks])

@@ -4,7 +4,7 @@ module battery_summary
   use battery_blocks, only: error_of_mean
   use battery_keys, only: key_threshold, key_threshold_fraction, key_number, key_width
   use battery_kinds, only: wp, dp, int64
-  use battery_plan, only: plan_type, point_text
+  use battery_plan, only: plan_type, point_text, is_scanned
   use battery_table, only: channel1, channel2
   use battery_tasks, only: task_count
   use battery_precision, only: cut_between_groups
@@ -30,7 +30,7 @@ module battery_summary
     'current1', 'current2']
   character(len=*), parameter :: heads(4) = [character(len=22) :: '          chi  +-error', &
     '    polarised  +-error', '    current 1  +-error', '    current 2  +-error']
-  integer, parameter :: chi = 1, polarised_current = 2
+  integer, parameter :: chi = 1, polarised_current = 2, current2 = 4
 
   !> The keys that have columns in the tables.
   integer, parameter :: column_keys(5) = [key_number, key_threshold, key_threshold_fraction, &
@@ -132,7 +132,8 @@ contains
   end subroutine print_tables
 
   !> Places in `names` of what the tables show: chi and the polarised current where they are known,
-  !> the currents of the channels where a task has an error of them, or nothing else is known.
+  !> the currents of the channels where a task has an error of them, or nothing else is known; none
+  !> of channel 2 where it is closed.
   pure function shown_quantities(results) result(shown)
     type(results_type), intent(in) :: results
     integer, allocatable :: shown(:)
@@ -146,6 +147,7 @@ contains
         values = results%error(:, :, places(k))
       is_shown(k) = any(results%task_status == task_complete .and. .not. ieee_is_nan(values))
     end do
+    if (.not. any(results%point%channel(channel2)%width > 0.0_wp)) is_shown(current2) = .false.
     shown = pack([(k, k=1, size(names))], is_shown)
   end function shown_quantities
 
@@ -185,14 +187,9 @@ contains
         //number_text(point%channel(channel1)%width, 8, 4) &
         //number_text(point%channel(channel2)%width, 11, 6)//whole_text(which, 10)//values
     end associate
-    do k = 1, size(plan%scanned)
-      associate (scanned => plan%scanned(k))
-        ! The column of T is that of gate 1.
-        if (any(column_keys == scanned%place) .and. scanned%first == 1) cycle
-      end associate
-      text = trim(text//'  '//point_text(plan, p, ''))
-      exit
-    end do
+    ! The column of T is that of gate 1.
+    if (is_scanned(plan, 'threshold2') .or. any([(all(column_keys /= plan%scanned(k)%place), k=1, &
+      size(plan%scanned))])) text = trim(text//'  '//point_text(plan, p, ''))
   end function row_text
 
   !> Text for quantities, each with its error.

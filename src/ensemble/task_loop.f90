@@ -71,7 +71,7 @@ contains
     progress_line = new_progress_line(task_queue%communicator%rank == 0 .and. .not. quiet, &
       task_count(plan))
     do
-      if (stop_is_wanted()) exit
+      if (stop_is_wanted(task_queue)) exit
       call fetch_task(task_queue, task)
       if (task == 0) exit
       call run_task(task_of(plan, task), plan%file_particles, journal, task_queue, monitor, &
@@ -100,17 +100,6 @@ contains
 
   contains
 
-    !> Whether the run must stop: another rank has counted a stop request in the task queue, or this
-    !> rank has one (`stop_requested`), which it counts there.
-    function stop_is_wanted() result(stopping)
-      logical :: stopping
-
-      stopping = read_counter(task_queue, stop_wanted) > 0
-      if (stopping) return
-      stopping = stop_requested()
-      if (stopping) call add_to_counter(task_queue, stop_wanted, 1_int64)
-    end function stop_is_wanted
-
     !> Waits, without using the processor, until all tasks are finished; still notices signals.
     subroutine wait_for_others()
       real(dp), parameter :: nap = 0.005_dp
@@ -119,7 +108,7 @@ contains
       next_poll = 0.0_dp
       do
         if (wall_seconds() >= next_poll .or. stop_requested()) then
-          if (stop_is_wanted()) exit
+          if (stop_is_wanted(task_queue)) exit
           if (read_counter(task_queue, tasks_finished) >= task_queue%tasks) exit
           call show_progress(progress_line, task_queue, 0.5_dp)
           next_poll = wall_seconds() + max(nap, task_queue%communicator%size/polls_a_second)
@@ -129,6 +118,17 @@ contains
     end subroutine wait_for_others
 
   end subroutine run_tasks
+
+  !> Whether the run must stop: another rank has counted a stop request in the task queue, or this
+  !> rank has one (`stop_requested`), which it counts there.
+  logical function stop_is_wanted(task_queue) result(stopping)
+    type(task_queue_type), intent(in) :: task_queue
+
+    stopping = read_counter(task_queue, stop_wanted) > 0
+    if (stopping) return
+    stopping = stop_requested()
+    if (stopping) call add_to_counter(task_queue, stop_wanted, 1_int64)
+  end function stop_is_wanted
 
   !> Runs a task to its end, or until the run must stop; then its state is saved and `stopped` set.
   !> An error of the task itself becomes a failed result; `error` is an error of the journal.
@@ -198,8 +198,7 @@ contains
       now = wall_seconds()
       call add_to_counter(task_queue, collisions_done, simulation%observer%collisions - reported)
       reported = simulation%observer%collisions
-      if (stop_requested()) call add_to_counter(task_queue, stop_wanted, 1_int64)
-      monitor%stopping = read_counter(task_queue, stop_wanted) > 0
+      monitor%stopping = stop_is_wanted(task_queue)
       after = wall_seconds()
       monitor%next_poll = after + min(longest_poll_interval, max((after - now)/poll_share, &
         poll_interval, task_queue%communicator%size/polls_a_second))
