@@ -69,8 +69,8 @@ module battery_table
     !> Time until the particle reaches its urn; below 0: minus the time since it left the urn.
     real(wp) :: time = 0.0_wp
     !> Height; if the particle moves away from its urn: at which it left the urn, -1 if u_y has
-    !> changed its sign since, else 1, and wall hits since. A particle on a wall that moves away from
-    !> it, or along it, has no hit there: its height is less by a rounding error.
+    !> changed its sign since, else 1, and wall hits since. A particle on a wall that moves away
+    !> from it, or along it, has no hit there: its height is less by a rounding error.
     real(wp) :: height = 0.0_wp, reflected = 1.0_wp, hits = 0.0_wp
   end type passage_type
 

@@ -134,8 +134,8 @@ module battery_excursion
     integer, allocatable :: resumed(:)
     !> Their next parts.
     type(visits_type) :: partial_visits
-    !> Start of each long visit, and of those that start on the wall; if channel 2 has discs, `scatterer_visits` holds the start
-    !> of every visit.
+    !> Start of each long visit, and of those that start on the wall; if channel 2 has discs,
+    !> `scatterer_visits` holds the start of every visit.
     type(long_visits_type) :: long_visits
     !> Start of the latest passage of each particle through a polygon.
     type(passage_starts_type) :: passage_starts
