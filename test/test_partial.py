@@ -122,7 +122,7 @@ def test_more_rank_files_than_may_be_open(
     tmp_path: Path, whole: Path, limit: tuple[int, int]
 ) -> None:
     """The limit is raised where that is allowed; otherwise no file is left out silently."""
-    write(tmp_path)
+    write_case(CASE, tmp_path)
     process = start("case.nml", folder=tmp_path)
     journal = tmp_path / "out.h5.tasks"
     assert wait_for(lambda: any(one.stat().st_size for one in journal.glob("rank_*")), process)
