@@ -396,15 +396,17 @@ contains
     type(plan_type) :: old
     type(error_type), allocatable :: wrong
 
-    call parse_namelist(before, plan%file, old, wrong)
-    keys = differing_keys(old%settings, plan%settings)
+    keys = differing_keys(before, plan%settings)
     same = keys == '' .and. initial_fingerprint == plan%initial_fingerprint
     if (same) return
     if (keys == '') then
       keys = '&particles initial_file: '''//plan%initial_file//''' has other contents now'
-    else if (.not. allocated(wrong)) then
+    else
+      call parse_namelist(before, plan%file, old, wrong)
       old%initial_fingerprint = initial_fingerprint
-      if (has_all_of(plan, old)) return
+      if (.not. allocated(wrong)) then
+        if (has_all_of(plan, old)) return
+      end if
     end if
     longer = ''
     if (index(keys, '&run collisions') > 0 .or. index(keys, '&run duration') > 0) longer = &

@@ -358,19 +358,22 @@ contains
   !> Keys in which two inputs differ, one per line with both values; empty if they describe the same
   !> run. Notation, defaults, limits and the name of the output file make no difference.
   function differing_keys(old, new) result(text)
-    !> The settings of two plans.
-    type(settings_type), intent(in) :: old, new
+    !> Text of a namelist without errors, and the settings of a plan.
+    character(len=*), intent(in) :: old
+    type(settings_type), intent(in) :: new
     character(len=:), allocatable :: text
+    type(settings_type) :: before
     integer :: at
 
+    call read_settings(old, all_keys(), before)
     text = ''
     do at = 1, size(new%all)
-      associate (key => new%all(at)%key, before => old%all(at)%canonical, &
-        now => new%all(at)%canonical)
-        if (before == now .or. .not. key%changes_results) cycle
+      associate (key => new%all(at)%key, was => before%all(at)%canonical, &
+        is => new%all(at)%canonical)
+        if (was == is .or. .not. key%changes_results) cycle
         if (text /= '') text = text//new_line_character
-        text = text//'&'//trim(key%group)//' '//trim(key%name)//': was '//value_text(before) &
-          //', is '//value_text(now)
+        text = text//'&'//trim(key%group)//' '//trim(key%name)//': was '//value_text(was) &
+          //', is '//value_text(is)
       end associate
     end do
   end function differing_keys
