@@ -10,7 +10,7 @@ module battery_collision
   use battery_kinds, only: wp, int64
   use battery_table, only: table_type
   use battery_motion, only: motion_type, move_straight, meets_channel_wall, meets_nothing
-  use battery_wall_motion, only: hit_wall
+  use battery_wall_motion, only: hit_wall, reverse_motion
   use battery_wall_by_wall, only: wall_by_wall_type, reset_counts, serialize_counts, &
     process_event, end_instant, count_hits, longest_window, end_of_window, window_events, most_hits
   use battery_tournament, only: tournament_type, new_tournament, set_event_time, event_time_of, &
@@ -30,7 +30,7 @@ module battery_collision
     type(tournament_type) :: tournament
   contains
     procedure :: prepare_engine, process_window, rebase_clock, serialize_own_state
-    procedure :: motion_now, store_motion
+    procedure :: reverse_particle, motion_now, store_motion
   end type collision_type
 
 contains
@@ -109,6 +109,18 @@ contains
       hits = hits + 1
     end do
   end subroutine process_collisions_until
+
+  !> Reverses the axial velocity of particle `i`.
+  subroutine reverse_particle(self, i)
+    class(collision_type), intent(inout) :: self
+    integer, intent(in) :: i
+    real(wp) :: wait
+
+    call move_straight(self%motion(i), self%now - self%motion(i)%time)
+    self%motion(i)%time = self%now
+    call reverse_motion(self%table, self%motion(i), wait)
+    call set_event_time(self%tournament, i, self%now + wait)
+  end subroutine reverse_particle
 
   !> State of particle `i` now; a particle without a next event stays at its stored position.
   pure function motion_now(self, i) result(motion)

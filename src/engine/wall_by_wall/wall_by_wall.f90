@@ -46,6 +46,8 @@ module battery_wall_by_wall
     !> Processes the events of at most one window, and not beyond `duration`; sets `now` and
     !> `window_time`.
     procedure(process_window_interface), deferred :: process_window
+    !> Reverses the axial velocity of a particle.
+    procedure :: reverse_particle
     !> State of a particle now.
     procedure(motion_interface), deferred :: motion_now
     !> Stores the state of a particle now, and the time until its next event.
@@ -233,9 +235,7 @@ contains
   subroutine decide_reversals(self, event_record)
     class(wall_by_wall_type), intent(inout) :: self
     type(event_record_type), intent(inout) :: event_record
-    type(motion_type) :: motion
-    real(wp) :: wait
-    integer :: urn, place, i
+    integer :: urn, place
     logical :: reverses
 
     do urn = 1, 2
@@ -243,14 +243,23 @@ contains
       if (.not. reverses) cycle
       call record_reversal(event_record, self%window_time, urn, number_inside(self%gate(urn)))
       do place = 1, number_inside(self%gate(urn))
-        i = counted_particle(self%gate(urn), place)
-        motion = self%motion_now(i)
-        call reverse_motion(self%table, motion, wait)
-        call self%store_motion(i, motion, wait)
+        call self%reverse_particle(counted_particle(self%gate(urn), place))
       end do
       call uncount_all(self%gate(urn))
     end do
   end subroutine decide_reversals
+
+  !> Reverses the axial velocity of particle `i`.
+  subroutine reverse_particle(self, i)
+    class(wall_by_wall_type), intent(inout) :: self
+    integer, intent(in) :: i
+    type(motion_type) :: motion
+    real(wp) :: wait
+
+    motion = self%motion_now(i)
+    call reverse_motion(self%table, motion, wait)
+    call self%store_motion(i, motion, wait)
+  end subroutine reverse_particle
 
   !> x, y, u_x, u_y of particle `i` now.
   function state_of(self, i) result(state)
