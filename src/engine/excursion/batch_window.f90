@@ -10,7 +10,7 @@ module battery_batch_window
   use battery_flight, only: flight_type, middle_time, never, to_gate, counted_in_gate
   use battery_visits, only: visits_type
   use battery_event_record, only: event_record_type, record_crossing, record_event, &
-    record_reversal, sort_event_record, crossing_of, event_entry
+    record_reversal, crossing_of, event_entry
   implicit none (type, external)
   private
   public :: batch_window_type, run_batch_window
@@ -80,7 +80,8 @@ contains
       end do
       call sort_crossings(w, from_gate(1), from_gate(2))
       if (event_record%logging) then
-        call record_logged_events(w, number, flight, window_start, event_record)
+        call record_logged_events(w, number, flight, window_start, events, due, particle, &
+          event_record)
       else
         event_record%reversals = w%gate_window%reversals
         event_record%bounce_backs = v%count
@@ -187,6 +188,15 @@ contains
     crossing_order = shiftl(line - 1, particle_bits) + particle
   end function crossing_order_of
 
+  !> Decodes the line of a crossing.
+  elemental function line_of_crossing(crossing_order) result(line)
+    !> As encoded by `crossing_order_of`.
+    integer, intent(in) :: crossing_order
+    integer :: line
+
+    line = 1 + shiftr(crossing_order, particle_bits)
+  end function line_of_crossing
+
   !> Decodes a crossing: its particle, the urn that it comes from, and the channel.
   pure subroutine decode_crossing_order(number, flight, crossing_order, particle, urn, channel)
     !> Number of particles, and their flights.
@@ -198,7 +208,7 @@ contains
     integer, intent(out) :: particle, urn, channel
 
     particle = ibits(crossing_order, 0, particle_bits)
-    channel = merge(channel2, channel1, shiftr(crossing_order, particle_bits) + 1 == periodic_line)
+    channel = merge(channel2, channel1, line_of_crossing(crossing_order) == periodic_line)
     ! A flight keeps the urn it left until the next flight is stored.
     urn = flight(particle)%urn
   end subroutine decode_crossing_order
@@ -252,35 +262,65 @@ contains
     end do
   end subroutine add_crossing_visits
 
-  !> Writes all events of the window to the event record, with the event log, which sorts them.
-  subroutine record_logged_events(window, number, flight, window_start, event_record)
+  !> Writes all events of the window to the event record, with the event log.
+  subroutine record_logged_events(window, number, flight, window_start, events, due_time, &
+    due_particle, event_record)
     type(batch_window_type), intent(in) :: window
-    !> Number of particles, and their flights.
-    integer, intent(in) :: number
+    !> Number of particles, number of events, and the flights.
+    integer, intent(in) :: number, events
     type(flight_type), intent(in) :: flight(number)
     !> Start of the window.
     real(wp), intent(in) :: window_start
+    !> Time of each event, as given to `partition_events`.
+    real(wp), intent(in) :: due_time(events)
+    !> Particle of each event.
+    integer, intent(in) :: due_particle(events)
     type(event_record_type), intent(inout) :: event_record
-    integer :: k, urn, particle, from, channel
+    integer :: k, next, urn, entered(2), reversed(2)
 
-    do k = 1, window%crossings
-      call decode_crossing_order(number, flight, window%crossing_order(k), particle, from, channel)
-      call record_crossing(event_record, window%crossing_time(k) - window_start, &
-        crossing_of(from, channel), particle)
-    end do
-    do urn = 1, 2
-      do k = 1, window%partition_count(urn)
-        call record_event(event_record, window%due(k, urn) - window_start, event_entry, urn, &
-          window%particle(k, urn))
+    next = 1
+    entered = 0
+    reversed = 0
+    do k = 1, events
+      ! At one time, crossings of the middle line come before other events.
+      do while (next <= window%crossings)
+        if (window%crossing_time(next) > due_time(k)) exit
+        if (window%crossing_time(next) >= due_time(k) &
+          .and. line_of_crossing(window%crossing_order(next)) == periodic_line) exit
+        call record_next_crossing()
       end do
+      if (flight(due_particle(k))%next_event /= counted_in_gate) then
+        call record_next_crossing()
+        cycle
+      end if
+      urn = flight(due_particle(k))%urn
+      call record_event(event_record, due_time(k) - window_start, event_entry, urn, due_particle(k))
+      entered(urn) = entered(urn) + 1
       associate (gate_window => window%gate_window(urn))
-        do k = 1, gate_window%reversals
-          call record_reversal(event_record, window%due(gate_window%last_entry(k), urn) &
-            - window_start, urn, gate_window%reversed(k))
-        end do
+        if (reversed(urn) == gate_window%reversals) cycle
+        if (gate_window%last_entry(reversed(urn) + 1) > entered(urn)) cycle
+        reversed(urn) = reversed(urn) + 1
+        call record_reversal(event_record, due_time(k) - window_start, urn, &
+          gate_window%reversed(reversed(urn)))
       end associate
     end do
-    call sort_event_record(event_record)
+    do while (next <= window%crossings)
+      call record_next_crossing()
+    end do
+
+  contains
+
+    !> Records the next of the sorted crossings.
+    subroutine record_next_crossing()
+      integer :: particle, from, channel
+
+      call decode_crossing_order(number, flight, window%crossing_order(next), particle, from, &
+        channel)
+      call record_crossing(event_record, window%crossing_time(next) - window_start, &
+        crossing_of(from, channel), particle)
+      next = next + 1
+    end subroutine record_next_crossing
+
   end subroutine record_logged_events
 
 end module battery_batch_window
