@@ -62,14 +62,15 @@ module battery_excursion
   use battery_calendar, only: calendar_type, new_calendar, epoch_for, schedule_event, &
     schedule_events, open_buckets_until, next_due_time, count_due_before, drop_done_events, &
     rebase_calendar
-  use battery_table, only: channel1, channel2, in_channel2, urn_at, chamber_at, are_mirror_images, &
-    mean_urn_passage, shortest_excursion, has_scatterers
+  use battery_table, only: channel1, channel2, urn_at, are_mirror_images, mean_urn_passage, &
+    shortest_excursion, has_scatterers
   use battery_urn_shape, only: cross_channels
   use battery_urn, only: compute_passages
-  use battery_passage_starts, only: passage_starts_type, new_passage_starts, store_passage_starts, &
-    correct_by_passage, rebase_passage_starts, serialize_passage_starts
+  use battery_passage_starts, only: start_words, store_passage_starts, correct_by_passage, &
+    serialize_passage_starts
   use battery_visits, only: visits_type, reserve_visits, split_visits_by_urn, truncated
-  use battery_scatterers, only: narrowest_gap, detect_periodic_path
+  use battery_scatterers, only: narrowest_gap
+  use battery_wall_motion, only: motion_at, is_trapped
   use battery_gate, only: enter_gate, number_inside, first_crossing_time
   use battery_engine, only: engine_type, particles_type, rebase_gates_and_clock
   use battery_event_record, only: event_record_type, reserve_event_record
@@ -137,8 +138,9 @@ module battery_excursion
     !> Start of each long visit, and of those that start on the wall; if channel 2 has discs,
     !> `scatterer_visits` holds the start of every visit.
     type(long_visits_type) :: long_visits
-    !> Start of the latest passage of each particle through a polygon.
-    type(passage_starts_type) :: passage_starts
+    !> Start of the latest passage of each particle through a polygon, (`start_words`, particle);
+    !> without particles if no urn is a polygon, or channel 2 has discs.
+    real(wp), allocatable :: passage_starts(:, :)
     !> Wall hits of all visits and passages computed so far, future ones included, and those that
     !> event records have reported.
     integer(int64) :: computed_hits = 0, reported_hits = 0
@@ -190,11 +192,11 @@ contains
     self%precomputes_visits = self%batches == 1 .and. .not. self%has_scatterers .and. &
       precomputing_pays(self%number, real(self%number, wp)*self%lookahead/self%interval, &
       self%gate%threshold)
-    if (allocated(self%flight)) deallocate (self%flight)
+    if (allocated(self%flight)) deallocate (self%flight, self%passage_starts)
     call new_flights(self%flight, self%number)
     call new_long_visits(self%long_visits, self%number, maxval(self%table%urn%reach))
-    call new_passage_starts(self%passage_starts, merge(self%number, 0, &
-      any(self%table%urn%truncates_passages) .and. .not. self%has_scatterers))
+    allocate (self%passage_starts(start_words, merge(self%number, 0, &
+      any(self%table%urn%truncates_passages) .and. .not. self%has_scatterers)), source=0.0_wp)
     self%computed_hits = 0
     self%reported_hits = 0
     self%partial_count = 0
@@ -286,7 +288,8 @@ contains
     integer, intent(in) :: b
 
     associate (v => self%visits(b))
-      if (self%table%urn(b)%truncates_passages) call store_passage_starts(self%passage_starts, v)
+      if (self%table%urn(b)%truncates_passages) call store_passage_starts(self%passage_starts, v, &
+        v%count)
       call compute_passages(self%table%urn(b), v)
       self%computed_hits = self%computed_hits + v%all_hits
     end associate
@@ -403,7 +406,7 @@ contains
       self%scatterer_visits%visit_start%time - self%epoch
     self%flight%time = self%flight%time - self%epoch
     call rebase_long_visits(self%long_visits, self%epoch)
-    call rebase_passage_starts(self%passage_starts, self%epoch)
+    self%passage_starts(start_words, :) = self%passage_starts(start_words, :) - self%epoch
     call rebase_gates_and_clock(self)
   end subroutine rebase_clock
 
@@ -441,7 +444,7 @@ contains
           call locate_particle(urn, flight, self%now, state(:2), state(3:), hits)
         end if
         if (urn%truncates_passages .and. flight%next_event /= counted_in_gate .and. .not. &
-          self%has_scatterers) call correct_by_passage(self%passage_starts, urn, flight, i, &
+          self%has_scatterers) call correct_by_passage(self%passage_starts(:, i), urn, flight, &
           self%now, from_start, state(:2), state(3:), hits)
         state(1) = urn%axis_sign*(state(1) - urn%centre)
         state(3) = urn%axis_sign*state(3)
@@ -472,7 +475,6 @@ contains
     integer(int64) :: total
     real(wp) :: state(4)
     integer(int64) :: hits
-    logical :: yes
     integer :: i
 
     total = count(self%flight%next_event == trapped_in_urn .or. self%flight%next_event == &
@@ -481,12 +483,8 @@ contains
     do i = 1, self%number
       if (self%flight(i)%next_event /= partial_visit) cycle
       call locate_particle_now(self, i, state, hits)
-      if (chamber_at(self%table, state(1), state(2), huge(1.0_wp)) /= in_channel2) cycle
-      associate (urn => self%table%urn(self%flight(i)%urn))
-        call detect_periodic_path(self%table%half_channel2(self%flight(i)%urn), urn%periodic_line &
-          + urn%axis_sign*state(1), state(2), urn%axis_sign*state(3), state(4), yes)
-      end associate
-      if (yes) total = total + 1
+      if (is_trapped(self%table, motion_at(self%table, state(1), state(2), state(3), state(4)))) &
+        total = total + 1
     end do
   end function trapped
 

@@ -1,6 +1,6 @@
 !> Windows of the engine `excursion` on tables with discs in channel 2 (`battery_scatterer_visits`).
 submodule (battery_excursion) battery_excursion_with_scatterers
-  use battery_table, only: in_urn, in_gate, passage_type, passage_at
+  use battery_table, only: in_urn, in_gate, in_channel2, passage_type, passage_at
   use battery_motion, only: motion_type
   use battery_scatterer_visits, only: visit_start_at, reserve_scatterer_visits, &
     add_scatterer_visit, compute_scatterer_visits, store_scatterer_flights

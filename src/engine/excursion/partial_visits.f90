@@ -8,7 +8,7 @@ module battery_partial_visits
   use battery_kinds, only: wp, int64
   use battery_flight, only: flight_type, partial_visit, never, store_flights
   use battery_long_visits, only: long_visits_type, store_visit_starts
-  use battery_passage_starts, only: passage_starts_type, store_passage_starts
+  use battery_passage_starts, only: store_passage_starts
   use battery_urn, only: urn_type, compute_passages, locate_in_passage
   use battery_visits, only: visits_type, reserve_visits, truncated
   implicit none (type, external)
@@ -61,7 +61,7 @@ contains
     !> Updated with the start of each part.
     type(long_visits_type), intent(inout) :: long_visits
     !> Updated with the start of each part, at which its passage is computed.
-    type(passage_starts_type), intent(inout) :: passage_starts
+    real(wp), intent(inout) :: passage_starts(:, :)
     !> Increased by the wall hits of the parts.
     integer(int64), intent(inout) :: computed_hits
     real(wp) :: position(2), velocity(2), rest(resumed_count)
@@ -91,7 +91,7 @@ contains
     associate (v => visits, n => visits%count)
       if (n == 0) return
       v%time(:n) = v%time(:n) + rest(:n)
-      call store_passage_starts(passage_starts, v)
+      call store_passage_starts(passage_starts, v, n)
       v%time(:n) = v%time(:n) - rest(:n)
       call compute_passages(urn, v)
       computed_hits = computed_hits + v%all_hits

@@ -16,82 +16,39 @@ module battery_passage_starts
   use battery_visits, only: visits_type
   implicit none (type, external)
   private
-  public :: passage_starts_type, new_passage_starts, store_passage_starts, set_passage_start, &
-    correct_by_passage, rebase_passage_starts, serialize_passage_starts
+  public :: store_passage_starts, correct_by_passage, serialize_passage_starts
 
-  !> x, y, u_x, u_y in the frame of the urn, and the time.
-  integer, parameter :: words = 5
+  !> A start: x, y, u_x, u_y in the frame of the urn, and the time, which is the last word.
+  integer, parameter, public :: start_words = 5
 
   !> Places on one path, computed in two ways, differ by less than this, in units of the reach.
   real(wp), parameter :: same_path = 1.0e-6_wp
 
-  !> The start of the latest passage of each particle.
-  type :: passage_starts_type
-    private
-    real(wp), allocatable :: start(:, :)
-  end type passage_starts_type
-
 contains
 
-  !> Allocates the starts of `number` particles; 0: no urn is a polygon.
-  pure subroutine new_passage_starts(starts, number)
-    type(passage_starts_type), intent(out) :: starts
-    integer, intent(in) :: number
-
-    allocate (starts%start(words, number), source=0.0_wp)
-  end subroutine new_passage_starts
-
   !> Stores the starts of the passages of a batch, before `compute_passages` overwrites them.
-  pure subroutine store_passage_starts(starts, visits, first)
-    type(passage_starts_type), intent(inout) :: starts
+  pure subroutine store_passage_starts(starts, visits, count)
+    !> The start of the latest passage of each particle.
+    real(wp), intent(inout) :: starts(:, :)
     !> As `cross_channels` leaves it.
     type(visits_type), intent(in) :: visits
-    !> Number of visits, the first ones, whose starts are stored; absent: all.
-    integer, intent(in), optional :: first
-    integer :: n
+    !> Number of visits, the first ones, whose starts are stored.
+    integer, intent(in) :: count
+    integer :: j
 
-    n = visits%count
-    if (present(first)) n = first
-    call store_starts(size(starts%start, 2), starts%start, n, visits%particle, visits%x, &
-      visits%y, visits%u_axial, visits%u_lateral, visits%time)
-  end subroutine store_passage_starts
-
-  !> Stores the start of the passage of one particle.
-  pure subroutine set_passage_start(starts, particle, state, time)
-    type(passage_starts_type), intent(inout) :: starts
-    integer, intent(in) :: particle
-    !> x, y, u_x, u_y in the frame of the urn; the time.
-    real(wp), intent(in) :: state(4), time
-
-    starts%start(:, particle) = [state, time]
-  end subroutine set_passage_start
-
-  !> The same over flat arrays.
-  pure subroutine store_starts(number, start, n, particle, x, y, ux, uy, time)
-    integer, intent(in) :: number, n, particle(n)
-    real(wp), intent(inout) :: start(words, number)
-    real(wp), intent(in) :: x(n), y(n), ux(n), uy(n), time(n)
-    integer :: j, i
-
-    do j = 1, n
-      i = particle(j)
-      start(1, i) = x(j)
-      start(2, i) = y(j)
-      start(3, i) = ux(j)
-      start(4, i) = uy(j)
-      start(5, i) = time(j)
+    do j = 1, count
+      starts(:, visits%particle(j)) = [visits%x(j), visits%y(j), visits%u_axial(j), &
+        visits%u_lateral(j), visits%time(j)]
     end do
-  end subroutine store_starts
+  end subroutine store_passage_starts
 
   !> Corrects position, velocity and `hits` of a particle at the time `now`, if they were computed
   !> on another path than that of its passage.
-  subroutine correct_by_passage(starts, urn, flight, particle, now, from_start, position, &
-    velocity, hits)
-    type(passage_starts_type), intent(in) :: starts
+  subroutine correct_by_passage(start, urn, flight, now, from_start, position, velocity, hits)
+    !> The start of that passage.
+    real(wp), intent(in) :: start(start_words)
     type(urn_type), intent(in) :: urn
     type(flight_type), intent(in) :: flight
-    !> Its index.
-    integer, intent(in) :: particle
     !> On the clock of the flight.
     real(wp), intent(in) :: now
     !> Whether they were computed forwards from the start of a long visit, else back from its end.
@@ -112,40 +69,29 @@ contains
     if (.not. from_start) then
       if (.not. way_back_meets_corner(urn, flight, now)) return
     end if
-    associate (start => starts%start(:, particle))
-      before = flight%time - now - flight%length
-      ! A part of a visit begins where the one before it ends: in that one this particle still is.
-      if (now < start(5) .and. start(5) - now > before + urn%reach) return
-      call follow_passage(urn, start(1), start(2), start(3), start(4), max(now - start(5), &
-        0.0_wp), here, direction, hits_since)
-      call trace_back_into_channel(urn, before, here, direction, hits_since)
-      if (from_start .and. maxval(abs(here - position)) <= same_path*urn%reach &
-        .and. maxval(abs(direction - velocity)) <= same_path) return
-      call follow_passage(urn, start(1), start(2), start(3), start(4), huge(1.0_wp), end_position, &
-        end_velocity, all_hits)
-      position = here
-      velocity = direction
-      hits = hits_since - all_hits
-    end associate
+    before = flight%time - now - flight%length
+    ! A part of a visit begins where the one before it ends: in that one this particle still is.
+    if (now < start(5) .and. start(5) - now > before + urn%reach) return
+    call follow_passage(urn, start(1), start(2), start(3), start(4), max(now - start(5), 0.0_wp), &
+      here, direction, hits_since)
+    call trace_back_into_channel(urn, before, here, direction, hits_since)
+    if (from_start .and. maxval(abs(here - position)) <= same_path*urn%reach &
+      .and. maxval(abs(direction - velocity)) <= same_path) return
+    call follow_passage(urn, start(1), start(2), start(3), start(4), huge(1.0_wp), end_position, &
+      end_velocity, all_hits)
+    position = here
+    velocity = direction
+    hits = hits_since - all_hits
   end subroutine correct_by_passage
-
-  !> Shifts all times back by one epoch.
-  pure subroutine rebase_passage_starts(starts, epoch)
-    type(passage_starts_type), intent(inout) :: starts
-    !> Its length.
-    real(wp), intent(in) :: epoch
-
-    starts%start(5, :) = starts%start(5, :) - epoch
-  end subroutine rebase_passage_starts
 
   !> Saves or restores the starts.
   subroutine serialize_passage_starts(starts, archive)
-    type(passage_starts_type), intent(inout) :: starts
+    !> The start of the latest passage of each particle.
+    real(wp), intent(inout) :: starts(:, :)
     type(archive_type), intent(inout) :: archive
 
-    call archive%serialize('start_x', starts%start(1, :), 'start_y', starts%start(2, :), &
-      'start_ux', starts%start(3, :), 'start_uy', starts%start(4, :), 'start_time', &
-      starts%start(5, :))
+    call archive%serialize('start_x', starts(1, :), 'start_y', starts(2, :), 'start_ux', &
+      starts(3, :), 'start_uy', starts(4, :), 'start_time', starts(5, :))
   end subroutine serialize_passage_starts
 
 end module battery_passage_starts

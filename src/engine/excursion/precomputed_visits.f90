@@ -10,7 +10,7 @@ module battery_precomputed_visits
   use battery_channel, only: channel1, channel2
   use battery_urn_shape, only: cross_channels
   use battery_flight, only: flight_type, load_flights, never, partial_visit, to_gate
-  use battery_passage_starts, only: passage_starts_type, store_passage_starts, set_passage_start
+  use battery_passage_starts, only: store_passage_starts
   use battery_urn, only: urn_type, compute_passages
   use battery_visits, only: visits_type, many_hits
   implicit none (type, external)
@@ -75,7 +75,7 @@ contains
     !> Precomputed visits.
     type(precomputed_visits_type), intent(inout) :: precomputed
     !> Updated with the starts of the passages of the visits.
-    type(passage_starts_type), intent(inout) :: passage_starts
+    real(wp), allocatable, intent(inout) :: passage_starts(:, :)
     !> Increased by the wall hits of the visits.
     integer(int64), intent(inout) :: computed_hits
     integer :: started, j, k
@@ -104,8 +104,8 @@ contains
             visits%wall_start_index(visits%wall_starts_count) = j
           end if
           computed_hits = computed_hits + int(known%hits, int64)
-          if (urn%truncates_passages) call set_passage_start(passage_starts, &
-            visits%particle(j), precomputed%start(:, slot), known%time)
+          if (urn%truncates_passages) passage_starts(:, visits%particle(j)) = &
+            [precomputed%start(:, slot), known%time]
         end associate
       end do
     else

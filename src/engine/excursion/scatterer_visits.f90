@@ -18,8 +18,7 @@ module battery_scatterer_visits
   use battery_half_channel_passages, only: compute_half_channel_passages
   use battery_archive, only: archive_type
   use battery_table, only: table_type
-  use battery_urn, only: are_mirror_images, compute_passages, locate_in_passage, locate_after, &
-    follow_passage
+  use battery_urn, only: are_mirror_images, compute_passages, locate_in_passage, follow_passage
   use battery_visits, only: visits_type, reserve_visits, truncated
   implicit none (type, external)
   private
@@ -207,12 +206,9 @@ contains
       ! Through a polygon forwards all the way: back from its end, rounding may lead to the other
       ! side of a corner.
       forwards = merge(1.0_wp, 0.5_wp, table%urn(visit%now%urn)%truncates_passages)
-      if (until - visit%now%time < forwards*v%length(k)) then
+      if (until - visit%now%time < forwards*v%length(k) .or. (stays .and. .not. &
+        table%urn(visit%now%urn)%truncates_passages)) then
         call follow_passage(table%urn(visit%now%urn), visit%now%x, visit%now%y, visit%now%ux, &
-          visit%now%uy, until - visit%now%time, position, velocity, later)
-        later = later - int(v%hits(k), int64)
-      else if (stays .and. .not. table%urn(visit%now%urn)%truncates_passages) then
-        call locate_after(table%urn(visit%now%urn), visit%now%x, visit%now%y, visit%now%ux, &
           visit%now%uy, until - visit%now%time, position, velocity, later)
         later = later - int(v%hits(k), int64)
       else

@@ -174,15 +174,17 @@ contains
     real(wp), intent(in) :: urn_entry_time(:), now
     !> Wall hits per time in each urn, relative to the urn with more hits.
     real(wp), intent(in) :: rate(2)
-    !> Time that all particles that are not trapped have spent in their last channels; if the urns
-    !> differ, plus the result of `missed_time`.
+    !> Time that all particles that are not trapped have spent in their last channels; plus the time
+    !> in the urn with more hits that equals the hits by which stays in the other one fall short.
     real(wp), intent(out) :: outside
     !> Wall hits in these channels until now, less those of the complete passages; of trapped
     !> particles, all hits.
     integer(int64), intent(out) :: passed
+    real(wp) :: missed
     integer :: i
 
     outside = 0.0_wp
+    missed = 0.0_wp
     passed = 0
     do i = 1, size(stay)
       associate (this_stay => stay(i))
@@ -194,27 +196,14 @@ contains
             now - this_stay%time) - int(this_stay%hits, int64)
         else
           outside = outside + (min(urn_entry_time(i), now) - this_stay%time)
+          missed = missed + (1.0_wp - rate(this_stay%urn))*max(now - urn_entry_time(i), 0.0_wp)
           if (now < urn_entry_time(i)) passed = passed + channel_hits(table, this_stay, &
             now - this_stay%time) - int(this_stay%hits, int64)
         end if
       end associate
     end do
-    if (any(rate < 1.0_wp)) outside = outside + missed_time(stay, urn_entry_time, now, rate)
+    outside = outside + missed
   end subroutine sum_outside_urns
-
-  !> Time in the urn with more hits that equals the hits by which stays in the other one fall short.
-  pure function missed_time(stay, urn_entry_time, now, rate) result(time)
-    type(stay_type), intent(in) :: stay(:)
-    real(wp), intent(in) :: urn_entry_time(:), now, rate(2)
-    real(wp) :: time
-    integer :: i
-
-    time = 0.0_wp
-    do i = 1, size(stay)
-      if (all(stay(i)%phase /= [from_gate, from_channel2])) cycle
-      time = time + (1.0_wp - rate(stay(i)%urn))*max(now - urn_entry_time(i), 0.0_wp)
-    end do
-  end function missed_time
 
   !> State (x, y, u_x, u_y) of a trapped particle.
   pure function locate_trapped_stay(table, stay, x, now) result(state)

@@ -11,12 +11,11 @@ module battery_collision
   use battery_table, only: table_type
   use battery_motion, only: motion_type, move_straight, meets_channel_wall, meets_nothing
   use battery_wall_motion, only: hit_wall, reverse_motion
-  use battery_wall_by_wall, only: wall_by_wall_type, reset_counts, load_motions, &
-    serialize_counts, process_event, end_instant, count_hits, longest_window, end_of_window, &
-    window_events, most_hits
+  use battery_wall_by_wall, only: wall_by_wall_type, reset_counts, serialize_counts, &
+    process_event, end_instant, count_hits, longest_window, end_of_window, window_events, most_hits
   use battery_tournament, only: tournament_type, new_tournament, set_event_time, event_time_of, &
     rebase_tournament
-  use battery_engine, only: particles_type, rebase_gates_and_clock
+  use battery_engine, only: rebase_gates_and_clock
   use battery_event_record, only: event_record_type
   use battery_archive, only: archive_type
   implicit none (type, external)
@@ -29,44 +28,26 @@ module battery_collision
     type(motion_type), allocatable :: motion(:)
     !> Next event of each particle.
     type(tournament_type) :: tournament
-    !> Time of the next event of each particle, as long as there is no tournament.
-    real(wp), allocatable :: due(:)
   contains
-    procedure :: prepare_engine, load_particles, process_window, rebase_clock, serialize_own_state
+    procedure :: prepare_engine, process_window, rebase_clock, serialize_own_state
     procedure :: reverse_particle, motion_now, store_motion
   end type collision_type
 
 contains
 
   !> Sets the length of the longest window, from the table and the number of particles; allocates
-  !> the particles.
+  !> the particles, which have no events yet.
   subroutine prepare_engine(self)
     class(collision_type), intent(inout) :: self
+    real(wp), allocatable :: due(:)
 
     call reset_counts(self)
     self%window = longest_window(self, window_events)
     if (allocated(self%motion)) deallocate (self%motion)
-    if (allocated(self%due)) deallocate (self%due)
     allocate (self%motion(self%number))
-    allocate (self%due(self%number), source=huge(1.0_wp))
+    allocate (due(self%number), source=huge(1.0_wp))
+    call new_tournament(self%tournament, due)
   end subroutine prepare_engine
-
-  !> Loads the particles, and builds the tournament of their first events.
-  subroutine load_particles(self, particles)
-    class(collision_type), intent(inout) :: self
-    type(particles_type), intent(inout) :: particles
-
-    call load_motions(self, particles)
-    call begin_tournament(self)
-  end subroutine load_particles
-
-  !> Builds the tournament from the times of the next events.
-  subroutine begin_tournament(self)
-    class(collision_type), intent(inout) :: self
-
-    call new_tournament(self%tournament, self%due)
-    deallocate (self%due)
-  end subroutine begin_tournament
 
   !> Processes the events of a window, one particle at a time. It lasts `duration`, or less if the
   !> longest window or the epoch ends before, or after `most_hits` wall hits.
@@ -160,11 +141,7 @@ contains
     real(wp), intent(in) :: wait
 
     self%motion(i) = motion
-    if (allocated(self%due)) then
-      self%due(i) = self%now + wait
-    else
-      call set_event_time(self%tournament, i, self%now + wait)
-    end if
+    call set_event_time(self%tournament, i, self%now + wait)
   end subroutine store_motion
 
   !> Shifts all times back by one epoch.
@@ -180,6 +157,7 @@ contains
   subroutine serialize_own_state(self, archive)
     class(collision_type), intent(inout) :: self
     type(archive_type), intent(inout) :: archive
+    real(wp), allocatable :: due(:)
     integer :: i
 
     call serialize_counts(self, archive)
@@ -188,9 +166,9 @@ contains
     call archive%serialize('side', self%motion%urn)
     call archive%serialize('chamber', self%motion%chamber)
     call archive%serialize('next', self%motion%next)
-    if (.not. archive%reading) self%due = [(event_time_of(self%tournament, i), i=1, self%number)]
-    call archive%serialize('due', self%due)
-    call begin_tournament(self)
+    due = [(event_time_of(self%tournament, i), i=1, self%number)]
+    call archive%serialize('due', due)
+    if (archive%reading) call new_tournament(self%tournament, due)
   end subroutine serialize_own_state
 
 end module battery_collision
