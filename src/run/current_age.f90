@@ -145,41 +145,26 @@ contains
   end function circulation_at
 
   !> Number of particles in the sparse urn for which the current through channel 2 equals that of
-  !> channel 1 in the other direction; half of all particles if only equal numbers balance.
+  !> channel 1 in the other direction, by iteration from an empty urn; at most half of all.
   pure real(dp) function sparse_number(number, threshold, widths, load) result(sparse)
     real(dp), intent(in) :: number
     integer, intent(in) :: threshold
     !> Width of channel 2 over that of channel 1; load of a gate per particle in its urn.
     real(dp), intent(in) :: widths, load
-    !> Parts of the interval that has the number, and how often the first part where the flows
-    !> balance is divided again.
-    integer, parameter :: parts = 200, divisions = 4
-    real(dp) :: part
-    integer :: division, at
+    !> It converges within some tens of steps, except near the largest load without polarisation.
+    integer, parameter :: most_steps = 10000
+    real(dp) :: before, dense
+    integer :: step
 
     sparse = 0.0_dp
-    part = 0.5_dp*number
-    do division = 1, divisions
-      part = part/real(parts, dp)
-      do at = 1, parts
-        if (net_inflow(sparse + part) <= 0.0_dp) exit
-        sparse = sparse + part
-      end do
+    do step = 1, most_steps
+      before = sparse
+      dense = number - sparse
+      ! What flows into the sparse urn over the flow out of it of each of its particles.
+      sparse = min(0.5_dp*number, dense*(widths + chance_below(threshold, dense_load*load*dense)) &
+        /(widths + chance_below(threshold, load*sparse)))
+      if (abs(sparse - before) <= epsilon(number)*number) exit
     end do
-    sparse = sparse + 0.5_dp*part
-
-  contains
-
-    !> Flow into the sparse urn less flow out of it, in units of one particle's flow.
-    pure real(dp) function net_inflow(in_sparse)
-      real(dp), intent(in) :: in_sparse
-      real(dp) :: in_dense
-
-      in_dense = number - in_sparse
-      net_inflow = (in_dense - in_sparse)*widths + in_dense*chance_below(threshold, &
-        dense_load*load*in_dense) - in_sparse*chance_below(threshold, load*in_sparse)
-    end function net_inflow
-
   end function sparse_number
 
   !> Probability that a Poisson variable with this mean is below `threshold`.
