@@ -9,6 +9,7 @@
 module battery_precision
   use, intrinsic :: ieee_arithmetic, only: ieee_is_nan
   use, intrinsic :: iso_c_binding, only: c_size_t
+  use battery_blocks, only: error_of_mean
   use battery_kinds, only: wp, dp
   use battery_gsl, only: student_quantile, sort_order
   use battery_plan, only: plan_type
@@ -68,7 +69,8 @@ contains
         if (has_two_states(results%average(:replicas, p, place(1)))) then
           results%point_status(p) = point_two_states
         else
-          results%replica_error(p, :) = scatter/sqrt(real(replicas, dp))
+          results%replica_error(p, :) = [(error_of_mean(results%average(:replicas, p, place(k))), &
+            k=1, 2)]
         end if
       end associate
     end do

@@ -421,8 +421,7 @@ contains
     class(hdf5_file_type), intent(in) :: file
     type(results_type), intent(in) :: results
     type(error_type), allocatable, intent(inout) :: error
-    character(len=*), parameter :: meaning = 'standard error over replicas, with Student''s ' &
-      //'factor of the first ones, of '
+    character(len=*), parameter :: meaning = 'standard error over replicas of '
 
     if (.not. allocated(results%point_status)) return
     call write_dataset(file, '/chi_replica_error', results%replica_error(:, 1), '1', &
