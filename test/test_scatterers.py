@@ -54,6 +54,9 @@ def refused(folder: Path, table: dict[str, str], **more: dict[str, str]) -> list
         ("0, 0, 0.125, 0.25, 0, 0.125", ["disc 2", "meets disc 1", "discs that are apart"]),
         ("0, 0, 0.05, 0.06, 0.08, 0.05", ["disc 2", "meets disc 1", "discs that are apart"]),
         ("0, 0, 0.07, 0.072, 0.096, 0.05", ["disc 2", "meets disc 1", "discs that are apart"]),
+        # Beside it a gap without width, from which rounding would never let a particle go.
+        ("0, 0.1, 0.1", ["disc 1", "touches a wall of the channel", "channel2_width/2"]),
+        ("0, -0.137, 0.063", ["disc 1", "touches a wall of the channel", "channel2_width/2"]),
         ("0, 0.5, 0.6", ["reaches into an opening", "|z| + 0.519", "which is how far it reaches"]),
         ("", ["has no value"]),
     ],

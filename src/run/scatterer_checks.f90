@@ -1,8 +1,9 @@
 !> Checks the scatterers in channel 2.
 !>
 !> One length, the least that coordinates resolve, bounds the radii of discs, their distances from
-!> each other, and their distances from the openings. For the openings, only the part of a disc
-!> within the channel counts; for other discs, the whole disc.
+!> each other, from the walls, and from the openings. For the openings, only the part of a disc
+!> within the channel counts; for other discs, the whole disc. A disc may overlap a wall; where it
+!> touches one the gap beside it has no width, and rounding would keep a particle there for ever.
 module battery_scatterer_checks
   use battery_kinds, only: wp
   use battery_text, only: to_text
@@ -45,6 +46,9 @@ contains
         else if (.not. abs(y) - radius <= half_width - least) then
           call add(' is outside of the channel', '|y| - radius below channel2_width/2, ' &
             //'which is '//to_text(half_width)//gap, k)
+        else if (.not. abs(half_width - abs(y) - radius) >= least) then
+          call add(' touches a wall of the channel', '|y| + radius below or above ' &
+            //'channel2_width/2, which is '//to_text(half_width)//gap, k)
         else if (.not. abs(z) + reach_of(y, radius) <= half_length - least) then
           call add(' reaches into an opening', '|z| + '//to_text(reach_of(y, radius)) &
             //', which is how far it reaches within the channel, below channel2_length/2, ' &

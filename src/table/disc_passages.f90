@@ -134,7 +134,12 @@ contains
         total(lane) = total(lane) + hits(j + lane - 1)
       end do
     end do
-    all_hits = int(sum(total), int64)
+    ! A visit may have more hits than a real can count one by one.
+    if (sum(total) < 2.0_wp**digits(1.0_wp)) then
+      all_hits = int(sum(total), int64)
+    else
+      all_hits = sum(int(hits(:count), int64))
+    end if
   end subroutine sum_hits
 
   !> Computes incidence, first impact, rotation from impact to impact, and length until the first
@@ -196,21 +201,26 @@ contains
   end subroutine recompute_grazing_incidences
 
   !> Lists the passages that start on the wall, or at the end of a chord and so on the circle too:
-  !> traced back to there, rounding decides whether the particle was reflected.
+  !> traced back to there, rounding decides whether the particle was reflected. One that has glided
+  !> along the wall of its channel may fly to the corner opposite, which belongs to the urn: its
+  !> first impact must not lie in that opening by rounding.
   pure subroutine list_wall_starts(disc, visits)
     type(disc_type), intent(in) :: disc
     type(visits_type), intent(inout) :: visits
     real(wp) :: half_width, distance
-    integer :: j
+    integer :: j, from
 
     do j = 1, visits%count
-      half_width = disc%half_width(merge(channel1, channel2, visits%x(j) > 0.0_wp))
+      from = merge(channel1, channel2, visits%x(j) > 0.0_wp)
+      half_width = disc%half_width(from)
       distance = min(visits%first(j), 2.0_wp*disc%radius*visits%c(j) - visits%first(j))
       ! Within a tiny opening the circle is so near everywhere; but there a reflection would come
       ! from the channel (`trace_back_into_channel`).
       if (max(distance, 0.25_wp*(half_width - abs(visits%y(j)))) > wall_margin*disc%radius) cycle
       visits%wall_starts_count = visits%wall_starts_count + 1
       visits%wall_start_index(visits%wall_starts_count) = j
+      if (.not. abs(visits%u_lateral(j)) > 0.0_wp) visits%py(j) = sign((1.0_wp + 2.0_wp &
+        *epsilon(1.0_wp))*disc%half_opening(from), visits%py(j))
     end do
   end subroutine list_wall_starts
 

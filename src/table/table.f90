@@ -304,8 +304,8 @@ contains
       passage%time = -depth/outward
       passage%moves_away = outward > 0.0_wp
       height = y
-      if (abs(y) >= 0.5_wp*channel%width .and. y*uy <= 0.0_wp) height = 0.5_wp*(1.0_wp &
-        - epsilon(y))*sign(channel%width, y)
+      if (abs(y) >= 0.5_wp*channel%width .and. y*uy <= 0.0_wp) height = 0.5_wp*(1.0_wp - 2.0_wp &
+        *epsilon(y))*sign(channel%width, y)
       passage%height = height
       if (passage%moves_away) call fold_into_channel(height - uy*depth/outward, channel%width, &
         passage%height, passage%reflected, passage%hits)
