@@ -219,8 +219,9 @@ contains
       if (max(distance, 0.25_wp*(half_width - abs(visits%y(j)))) > wall_margin*disc%radius) cycle
       visits%wall_starts_count = visits%wall_starts_count + 1
       visits%wall_start_index(visits%wall_starts_count) = j
-      if (.not. abs(visits%u_lateral(j)) > 0.0_wp) visits%py(j) = sign((1.0_wp + 2.0_wp &
-        *epsilon(1.0_wp))*disc%half_opening(from), visits%py(j))
+      if (abs(visits%u_lateral(j)) > 0.0_wp .or. abs(abs(visits%y(j)) - half_width) &
+        > wall_margin*disc%radius) cycle
+      visits%py(j) = sign((1.0_wp + 2.0_wp*epsilon(1.0_wp))*disc%half_opening(from), visits%py(j))
     end do
   end subroutine list_wall_starts
 
