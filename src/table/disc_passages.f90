@@ -28,6 +28,10 @@ module battery_disc_passages
   !> this, in units of the radius: some times the rounding error of a path traced back to there.
   real(wp), parameter :: wall_margin = 1.0e-12_wp
 
+  !> A velocity points out of an opening if its component along the channel is more than a rounding
+  !> error: a particle that moves along the chord reaches the corner.
+  real(wp), parameter :: least_u_axial = 4.0_wp*epsilon(1.0_wp)
+
 contains
 
   !> Computes the passages of a batch of visits through the disc: from position and velocity at the
@@ -81,7 +85,7 @@ contains
       visits%length, visits%through)
     if (.not. all_passages_end(visits%count, visits%u_axial, visits%impacts)) then
       do j = 1, visits%count
-        if (visits%u_axial(j) > 0.0_wp .and. visits%impacts(j) >= 0.0_wp) cycle
+        if (visits%u_axial(j) > least_u_axial .and. visits%impacts(j) >= 0.0_wp) cycle
         call repair_passage(disc, visits, j)
         if (any(visits%many_hits_index(:visits%many_hits_count) == j)) cycle
         visits%many_hits_count = visits%many_hits_count + 1
@@ -111,7 +115,7 @@ contains
 
     left = 0
     do j = 1, n
-      left = left + merge(1, 0, u_axial(j) > 0.0_wp .and. impacts(j) >= 0.0_wp)
+      left = left + merge(1, 0, u_axial(j) > least_u_axial .and. impacts(j) >= 0.0_wp)
     end do
     all_passages_end = left == n
   end function all_passages_end
@@ -419,7 +423,7 @@ contains
     zx = (visits%s(j) - visits%c(j))*(visits%s(j) + visits%c(j))
     zy = 2.0_wp*visits%s(j)*visits%c(j)
     do tries = 1, 4
-      if (visits%impacts(j) < 0.0_wp .or. visits%u_axial(j) > 0.0_wp) exit
+      if (visits%impacts(j) < 0.0_wp .or. visits%u_axial(j) > least_u_axial) exit
       x = visits%hit_x(j)*zx - visits%hit_y(j)*zy
       y = visits%hit_x(j)*zy + visits%hit_y(j)*zx
       call search_opening(disc, visits, j, x, y, zx, zy, visits%impacts(j) + 1.0_wp)
@@ -427,7 +431,7 @@ contains
         visits%impacts(j:j), visits%first(j:j), visits%channel(j:j), visits%x(j:j), visits%y(j:j), &
         visits%u_axial(j:j), visits%u_lateral(j:j), visits%length(j:j), visits%through(j:j))
     end do
-    if (visits%impacts(j) >= 0.0_wp .and. visits%u_axial(j) > 0.0_wp) return
+    if (visits%impacts(j) >= 0.0_wp .and. visits%u_axial(j) > least_u_axial) return
     if (visits%impacts(j) < 0.0_wp) visits%impacts(j) = -1.0_wp - visits%impacts(j)
     visits%channel(j) = no_channel
     visits%y(j) = atan2(visits%hit_y(j), visits%hit_x(j))

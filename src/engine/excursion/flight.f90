@@ -130,14 +130,14 @@ contains
 
   !> Sets the flight of a particle that starts within a visit to the start of that visit, which
   !> `make_initial_flight` has added: in a channel, time 0 and the particle's own height and
-  !> velocity, as if it entered the channel there; in an urn, its first impact and the time of it.
-  !> The start of a long visit is stored as such a flight.
+  !> velocity, as if it entered the channel there; in an urn, an impact, the first of the visit if
+  !> it has any, and the time of it. The start of a long visit is stored as such a flight.
   subroutine set_flight_to_visit_start(table, x, y, ux, uy, flight, hits)
     type(table_type), intent(in) :: table
     !> Its initial position, a length, and velocity, of length 1, in the frame of the table.
     real(wp), intent(in) :: x, y, ux, uy
     type(flight_type), intent(inout) :: flight
-    !> Wall hits of the visit; out: those from the first impact on, if the particle was in an urn.
+    !> Wall hits of the visit; out: those from that impact on, if the particle was in an urn.
     real(wp), intent(inout) :: hits
     type(passage_type) :: passage
     integer(int64) :: before
@@ -147,9 +147,15 @@ contains
       associate (urn => table%urn(passage%urn))
         call find_first_impact(urn, urn%centre - abs(x), y, urn%axis_sign*ux, uy, flight%y, &
           flight%u_axial, flight%u_lateral, flight%time, before)
+        hits = hits - real(before, wp)
+        if (.not. (urn%truncates_passages .or. hits > 0.0_wp)) then
+          ! That impact lies in the opening, after the end of the visit: the one before it instead.
+          flight%y = flight%y - 2.0_wp*atan2(flight%u_axial, flight%u_lateral)
+          flight%time = flight%time - 2.0_wp*urn%reach*flight%u_axial
+          hits = hits + 1.0_wp
+        end if
       end associate
       flight%next_event = partial_visit
-      hits = hits - real(before, wp)
     else
       flight%next_event = merge(counted_in_gate, to_periodic_line, passage%channel == channel1)
       flight%time = 0.0_wp
