@@ -220,6 +220,28 @@ def test_who_never_leaves_does_not_hang_the_run(tmp_path: Path, engine: str) -> 
     assert run(name, folder=tmp_path).returncode == 3
 
 
+def test_who_goes_to_and_fro_between_a_disc_and_an_urn_does_not_hang_the_run(
+    tmp_path: Path,
+) -> None:
+    """Its visit has no end: engines agree on hits and place."""
+    table = {
+        "urn_shape": "'polygon'", "urn_vertices": "1, -1, 1, 1, -1, 1, -1, -1",
+        "channel1_width": "0.25", "channel2_width": "1.5", "scatterers": "0.25, 0.5, 0.0625",
+    }  # fmt: skip
+    (tmp_path / "i.txt").write_text("-1.5 0.5 -1 0\n")
+    found = {}
+    for engine in ("excursion", "collision"):
+        name = write(
+            tmp_path, engine, table, run={"engine": f"'{engine}'", "duration": "100"},
+            particles={"number": "1", "initial_file": "'i.txt'"}, output={"final_state": ".true."},
+        )  # fmt: skip
+        assert run(name, folder=tmp_path).returncode == 0
+        with h5py.File(tmp_path / f"{engine}.h5") as file:
+            found[engine] = [file["collisions"][0, 0], file["final/x"][0, 0, 0]]
+    assert found["excursion"] == pytest.approx(found["collision"], abs=1e-9)
+    assert found["excursion"][0] > 40
+
+
 @pytest.mark.parametrize("engine", ["excursion", "collision"])
 @pytest.mark.parametrize("side", [1, -1])
 def test_who_glides_along_a_wall_of_channel_2_stays_there(

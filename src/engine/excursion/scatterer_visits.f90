@@ -15,6 +15,7 @@ module battery_scatterer_visits
   use battery_channel, only: fold_into_channel, channel1, channel2
   use battery_flight, only: flight_type, to_gate, to_periodic_line, trapped_in_urn, partial_visit
   use battery_motion, only: motion_type, meets_line, meets_urn, meets_nothing, in_urn, in_channel2
+  use battery_scatterers, only: longest_part
   use battery_half_channel_passages, only: compute_half_channel_passages
   use battery_archive, only: archive_type
   use battery_table, only: table_type
@@ -280,6 +281,8 @@ contains
       else if (motion%next == meets_urn) then
         now%x = -table%urn(motion%urn)%chord(channel2)
         now%chamber = int(in_urn, int8)
+        ! It may go to and fro between a disc and the wall of the urn for ever.
+        if (visit%hits >= longest_part) visit%next_event = partial_visit
       else
         visit%next_event = merge(to_periodic_line, partial_visit, motion%next == meets_line)
         visit%y = now%y
