@@ -281,47 +281,18 @@ contains
   end function nearest_side
 
   !> Finds the side that a particle hits next, and the time `wait` until then. A particle on the
-  !> side `from` (0: on none) does not hit that side.
+  !> side `from` (0: on none) does not hit that side. Where a path runs along a side, rounding alone
+  !> says where it crosses it: then only that it does so between its corners is certain. A time
+  !> beyond them would put the side behind the particle, which then would hit nothing, or put the
+  !> hit outside. A path that enters a polygon before it leaves does not start inside: rounding in a
+  !> re-entrant corner has put the particle outside, and no side is found, or it would cross what
+  !> lies between two parts of the urn.
   pure subroutine find_next_side(polygon, from, x, y, ux, uy, side, wait)
     type(polygon_type), intent(in) :: polygon
     integer, intent(in) :: from
     !> Position and velocity in the frame of the polygon.
     real(wp), intent(in) :: x, y, ux, uy
     !> 0 if no side is found, which only rounding can cause.
-    integer, intent(out) :: side
-    real(wp), intent(out) :: wait
-    real(wp) :: before, after, time
-    integer :: k
-
-    if (.not. polygon%convex) then
-      call find_nearest_side_ahead(polygon, from, x, y, ux, uy, side, wait)
-      return
-    end if
-    side = 0
-    wait = huge(1.0_wp)
-    after = ux*(polygon%y(1) - y) - uy*(polygon%x(1) - x)
-    do k = 1, polygon%sides
-      before = after
-      after = ux*(polygon%y(k + 1) - y) - uy*(polygon%x(k + 1) - x)
-      if (before >= 0.0_wp .or. after < 0.0_wp .or. k == from) cycle
-      time = polygon%length_of(k)*((polygon%x(k) - x)*polygon%normal_x(k) &
-        + (polygon%y(k) - y)*polygon%normal_y(k))/(after - before)
-      if (time >= wait) cycle
-      side = k
-      wait = time
-    end do
-    wait = max(wait, 0.0_wp)
-  end subroutine find_next_side
-
-  !> As `find_next_side`, in a polygon that is not convex. Where a path runs along a side, rounding
-  !> alone says where it crosses it: then only that it does so between its corners is certain. A
-  !> time beyond them would put the side behind the particle, which then would hit nothing. A path
-  !> that enters before it leaves does not start inside: rounding in a corner has put the particle
-  !> outside, and no side is found, or it would cross what lies between two parts of the urn.
-  pure subroutine find_nearest_side_ahead(polygon, from, x, y, ux, uy, side, wait)
-    type(polygon_type), intent(in) :: polygon
-    integer, intent(in) :: from
-    real(wp), intent(in) :: x, y, ux, uy
     integer, intent(out) :: side
     real(wp), intent(out) :: wait
     real(wp) :: before, after, time, enters, first, second
@@ -334,7 +305,8 @@ contains
     do k = 1, polygon%sides
       before = after
       after = ux*(polygon%y(k + 1) - y) - uy*(polygon%x(k + 1) - x)
-      if ((before < 0.0_wp) .eqv. (after < 0.0_wp)) cycle
+      if (before >= 0.0_wp .and. (polygon%convex .or. after >= 0.0_wp)) cycle
+      if (before < 0.0_wp .and. after < 0.0_wp) cycle
       time = polygon%length_of(k)*((polygon%x(k) - x)*polygon%normal_x(k) &
         + (polygon%y(k) - y)*polygon%normal_y(k))/(after - before)
       if (abs(after - before) < polygon%tolerance) then
@@ -360,7 +332,7 @@ contains
     ! The path enters before it leaves, or where it does: it may run outside from corner to corner.
     if (enters < wait - polygon%tolerance .or. .not. is_in_polygon(polygon, x &
       + 0.5_wp*wait*ux, y + 0.5_wp*wait*uy, polygon%tolerance)) side = 0
-  end subroutine find_nearest_side_ahead
+  end subroutine find_next_side
 
   !> As `find_next_side`, but also for a particle that moves along a side, or that rounding has put
   !> beyond one: then the path starts slightly farther inside. From the side `from` (0: none), at
