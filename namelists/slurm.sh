@@ -1,5 +1,5 @@
 #!/bin/bash
-# One run of battery under Slurm: sbatch namelists/slurm.sh, from the folder of the checkout.
+# One run of battery under Slurm, from the folder of the checkout: sbatch namelists/slurm.sh FILE.nml
 #
 # A site must change: tasks (as many as the plan has, at most), time, and what it asks for besides:
 ##SBATCH --partition=NAME
@@ -22,7 +22,7 @@ export OMPI_MCA_osc=^ucx
 # this program has done anything; not with this.
 export PMIX_MCA_gds=hash
 program=build/bin/battery
-namelist=namelists/phase_diagram.nml
+namelist=${1:-namelists/phase_diagram.nml}
 
 # By which interface srun tells ranks of each other; srun --mpi=list shows what a site has.
 case $("$program" --version) in

@@ -19,7 +19,7 @@
 # site with InfiniBand and an Open MPI of its own needs no such line.
 export OMPI_MCA_osc=^ucx
 program=build/bin/battery
-namelist=namelists/phase_diagram.nml
+namelist=${1:-namelists/phase_diagram.nml}
 # Where mpirun does not learn from Slurm how many ranks and which nodes: mpirun -n "$SLURM_NTASKS".
 mpirun "$program" "$namelist" &
 run=$!

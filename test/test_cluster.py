@@ -96,6 +96,23 @@ def test_signal_reaches_the_program(script: Path) -> None:
     assert signal.startswith("B:") == hears
 
 
+@pytest.mark.parametrize("name", ["slurm.sh", "slurm_mpirun.sh"])
+@pytest.mark.parametrize("argument", [[], ["mine.nml"]], ids=["none", "one"])
+def test_a_job_runs_the_namelist_that_it_is_given(
+    tmp_path: Path, name: str, argument: list[str]
+) -> None:
+    """As `sbatch SCRIPT FILE.nml` passes it; without one that of the example."""
+    for command in ("srun", "mpirun", "build/bin/battery"):
+        (tmp_path / command).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / command).write_text('#!/bin/sh\necho "$@"\n')
+        (tmp_path / command).chmod(0o755)
+    told = subprocess.run(
+        ["bash", ROOT / "namelists" / name, *argument], cwd=tmp_path, check=True, text=True,
+        env={"PATH": f"{tmp_path}:/usr/bin:/bin"}, stdout=subprocess.PIPE,
+    ).stdout  # fmt: skip
+    assert told.split()[-1] == (argument or ["namelists/phase_diagram.nml"])[0]
+
+
 def test_an_array_has_a_namelist_and_an_output_for_each_element() -> None:
     """As many elements as namelists, each with an output file of its own."""
     text = (ROOT / "namelists/slurm_array.sh").read_text()

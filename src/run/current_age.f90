@@ -10,7 +10,7 @@
 !> The number of particles in the sparse urn follows from the balance of flows through both
 !> channels, with the load of the dense gate times 0.85 (the paper's theory has 1). R is that of a
 !> gate with exponentially distributed passage times, in closed form. The factors 3 and 0.85 are
-!> fitted to the theory of the currents and to runs of many ages; docs/command_line.md links to
+!> fitted to the theory of the currents and to runs of many ages; docs/validation.md links to
 !> the page with the deviations of (1) from both.
 !>
 !> The fit, and so the use of (1), is for equal discs with equal gates, channels without scatterers,

@@ -1,7 +1,7 @@
 """Change single lines of the physics, and see whether a test turns red.
 
 By hand: `cd test; ../build/venv/bin/python -m mutants --seed 1 --count 60` tries mutations drawn at
-random from all lines of table, gate, events, engine and observe; `--lines src/gate/gate.f90:75`
+random from all lines of table, gate, events, engine and observe; `--lines src/gate/gate.f90:132`
 every mutation of one line; `--chosen` those of `lines.txt`, each with the test that must turn red.
 The tests are built in `build/mutants`; a mutant costs seconds, one that survives a minute. The last
 line is `N killed, M survived, ...`; the exit code is 1 if any survived.
