@@ -194,9 +194,6 @@ contains
   !> If the path enters through another one before, or where it leaves, rounding in a corner may
   !> have put the particle outside: no side is found, or it would cross what lies between two parts
   !> of the urn.
-  !> Where it runs along that side, the time of the hit is a quotient of rounding errors, and the
-  !> particle could pass the corner at the end of the side: no side is found either, and
-  !> `continue_alone` bounds the time by the corners.
   pure subroutine find_nearest_side(sides, corner, side, tolerance, n, px, py, ux, uy, normal_x, &
     normal_y, offset, half_opening)
     integer, intent(in) :: sides, n
@@ -241,8 +238,7 @@ contains
       end do
     end do
     do j = 1, n
-      met = merge(1.0_wp, 0.0_wp, enters(j) > soonest(j) + tolerance .and. normal_x(j)*ux(j) &
-        + normal_y(j)*uy(j) > grazing)
+      met = merge(1.0_wp, 0.0_wp, enters(j) > soonest(j) + tolerance)
       normal_x(j) = met*normal_x(j)
       normal_y(j) = met*normal_y(j)
     end do
@@ -272,7 +268,9 @@ contains
   end subroutine begin_side_search
 
   !> Moves each particle of a block to the side that it hits, and reflects it there unless it is in
-  !> an opening. A particle for which no side was found does not move.
+  !> an opening. A particle for which no side was found does not move. Nor does one that runs along
+  !> its side: there the time of the hit is a quotient of rounding errors, and it could pass the
+  !> corner at the end of the side; `continue_alone` bounds that time by the corners.
   pure subroutine reflect_visits(n, normal_x, normal_y, offset, half_opening, px, py, ux, uy, &
     hits, length, flies)
     integer, intent(in) :: n
@@ -283,8 +281,7 @@ contains
 
     do j = 1, n
       outward = normal_x(j)*ux(j) + normal_y(j)*uy(j)
-      ! If rounding puts the side behind the particle, the particle does not move.
-      moves = merge(flies(j), 0.0_wp, outward > 0.0_wp)
+      moves = merge(flies(j), 0.0_wp, outward > grazing)
       wait = moves*max((offset(j) - normal_x(j)*px(j) - normal_y(j)*py(j)) &
         /max(outward, slowest), 0.0_wp)
       length(j) = length(j) + wait
