@@ -152,7 +152,7 @@ contains
     n = polygon%sides
     polygon%clear = 0.0_wp
     if (is_in_polygon(polygon, 0.0_wp, 0.0_wp, 0.0_wp)) &
-      polygon%clear = distance_to_walls(polygon, 0.0_wp, 0.0_wp)
+      polygon%clear = minval(distances_to_sides(polygon, 0.0_wp, 0.0_wp))
     polygon%longest_step = 2.0_wp*polygon%area/polygon%outline_length
     if (polygon%convex) return
     do k = 1, n
@@ -208,19 +208,17 @@ contains
     if (all(polygon%width > 0.0_wp)) polygon%depth = min(polygon%depth, polygon%chord)
   end subroutine measure_openings
 
-  !> Distance from a point to the nearest side.
-  pure function distance_to_walls(polygon, x, y) result(distance)
+  !> Distance from a point to each side.
+  pure function distances_to_sides(polygon, x, y) result(distance)
     type(polygon_type), intent(in) :: polygon
+    !> Position in the frame of the polygon, lengths.
     real(wp), intent(in) :: x, y
-    real(wp) :: distance
+    real(wp) :: distance(polygon%sides)
     integer :: k
 
-    distance = huge(1.0_wp)
-    do k = 1, polygon%sides
-      distance = min(distance, distance_to_side(x, y, [polygon%x(k), polygon%y(k)], &
-        [polygon%x(k + 1), polygon%y(k + 1)]))
-    end do
-  end function distance_to_walls
+    distance = [(distance_to_side(x, y, [polygon%x(k), polygon%y(k)], [polygon%x(k + 1), &
+      polygon%y(k + 1)]), k=1, polygon%sides)]
+  end function distances_to_sides
 
   !> Whether a point is inside, on a side, or at most `tolerance` outside.
   pure function is_in_polygon(polygon, x, y, tolerance) result(inside)
@@ -241,7 +239,7 @@ contains
       if (x < polygon%x(k) + (polygon%x(k + 1) - polygon%x(k))*((y - polygon%y(k)) &
         /(polygon%y(k + 1) - polygon%y(k)))) inside = .not. inside
     end do
-    if (.not. inside) inside = distance_to_walls(polygon, x, y) <= tolerance
+    if (.not. inside) inside = any(distances_to_sides(polygon, x, y) <= tolerance)
   end function is_in_polygon
 
   !> Trial point from two numbers `across` and `up`, uniform in [0, 1]: uniform in the polygon, if
@@ -266,18 +264,8 @@ contains
     !> Position in the frame of the polygon, lengths.
     real(wp), intent(in) :: x, y
     integer :: nearest
-    real(wp) :: least, distance
-    integer :: k
 
-    nearest = 1
-    least = huge(1.0_wp)
-    do k = 1, polygon%sides
-      distance = distance_to_side(x, y, [polygon%x(k), polygon%y(k)], &
-        [polygon%x(k + 1), polygon%y(k + 1)])
-      if (distance >= least) cycle
-      least = distance
-      nearest = k
-    end do
+    nearest = minloc(distances_to_sides(polygon, x, y), 1)
   end function nearest_side
 
   !> Finds the side that a particle hits next, and the time `wait` until then. A particle on the
@@ -345,18 +333,15 @@ contains
     integer, intent(out) :: side
     real(wp), intent(out) :: wait
     real(wp) :: inwards, shift_x, shift_y
-    integer :: tries, k
+    logical :: touches(polygon%sides)
+    integer :: tries
 
     call find_next_side(polygon, from, x, y, ux, uy, side, wait)
     if (side > 0) return
-    shift_x = 0.0_wp
-    shift_y = 0.0_wp
-    do k = 1, polygon%sides
-      if (k /= from .and. distance_to_side(x, y, [polygon%x(k), polygon%y(k)], [polygon%x(k + 1), &
-        polygon%y(k + 1)]) > 2.0_wp*polygon%tolerance) cycle
-      shift_x = shift_x - polygon%normal_x(k)
-      shift_y = shift_y - polygon%normal_y(k)
-    end do
+    touches = distances_to_sides(polygon, x, y) <= 2.0_wp*polygon%tolerance
+    if (from > 0) touches(from) = .true.
+    shift_x = -sum(polygon%normal_x, touches)
+    shift_y = -sum(polygon%normal_y, touches)
     inwards = polygon%tolerance
     do tries = 1, 8
       call find_next_side(polygon, 0, x + inwards*shift_x, y + inwards*shift_y, ux, uy, side, wait)
