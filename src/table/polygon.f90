@@ -293,8 +293,11 @@ contains
     do k = 1, polygon%sides
       before = after
       after = ux*(polygon%y(k + 1) - y) - uy*(polygon%x(k + 1) - x)
-      if (before >= 0.0_wp .and. (polygon%convex .or. after >= 0.0_wp)) cycle
-      if (before < 0.0_wp .and. after < 0.0_wp) cycle
+      if (before >= 0.0_wp) then
+        if (after >= 0.0_wp .or. polygon%convex) cycle
+      else if (after < 0.0_wp .or. k == from) then
+        cycle
+      end if
       time = polygon%length_of(k)*((polygon%x(k) - x)*polygon%normal_x(k) &
         + (polygon%y(k) - y)*polygon%normal_y(k))/(after - before)
       if (abs(after - before) < polygon%tolerance) then
@@ -306,7 +309,7 @@ contains
         if (time > polygon%tolerance) enters = min(enters, time)
         cycle
       end if
-      if (time >= wait .or. k == from) cycle
+      if (time >= wait) cycle
       if (time < -polygon%tolerance) then
         ! Skip a side behind the particle, unless only rounding has put it there.
         if (distance_to_side(x, y, [polygon%x(k), polygon%y(k)], [polygon%x(k + 1), &
