@@ -167,9 +167,10 @@ class Circuit:
         if not own.alike or asked.size == 0:
             return asked.astype(float), np.full(asked.shape, math.nan)
         line = known.transition_line(own, int(asked.min()), int(asked.max()))
-        reached = np.minimum(asked, line[0][-1])  # no gate reverses from T = N on
-        widths = line[1][np.searchsorted(line[0], np.maximum(reached, line[0][0]))]
-        return asked.astype(float), np.where(asked > line[0][-1], 0.0, widths)
+        # A gate of T = 0 lets nothing pass, and from T = N on none reverses.
+        within = np.clip(asked, line[0][0], line[0][-1])
+        widths = line[1][np.searchsorted(line[0], within)]
+        return asked.astype(float), np.where(asked == within, widths, 0.0)
 
     def lifetimes(self, theory: str = PAPERS) -> Lifetimes:
         """Return the mean times in which fluctuations end the homogeneous and polarised state.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 import shutil
 import subprocess
@@ -61,6 +62,13 @@ def test_the_blocks_of_a_page_work(tmp_path: Path, name: str) -> None:
     if name == "tutorial":
         assert text.count("![What it drew]") > 5
         assert len((tmp_path / name / "map.csv").read_text().splitlines()) == 1 + 6 * 4
+
+
+def test_the_notebook_of_a_first_day_works(tmp_path: Path) -> None:
+    cells = json.loads((ROOT / "docs/first_day.ipynb").read_text())["cells"]
+    code = ["".join(one["source"]) for one in cells if one["cell_type"] == "code"]
+    text = "\n\n".join(f"```python run\n{one}\n```" for one in code)
+    assert blocks.evaluated("first_day", text, tmp_path)[1] == []
 
 
 @pytest.mark.parametrize("text", GOOD)

@@ -181,11 +181,11 @@ def _excess(points: Points, point: int) -> tuple[float, float]:
 
 
 def _of_current(points: Points, point: int) -> list[str]:
-    """Compare the net current with the one that chi and memory of the urns explain."""
+    """Compare the net current with the one that chi and memory of the urns, discs, explain."""
     excess, error = _excess(points, point)
-    if excess <= 0.0:
+    if excess <= 0.0 or (circuit := points.circuit(point)).outline is not None:
         return []
-    most = memory_factor(points.circuit(point)) - 1.0
+    most = memory_factor(circuit) - 1.0
     if excess - most <= max(EXCESS, DRIFT * error):
         return []
     return [

@@ -32,13 +32,13 @@ def test_states_are_those_of_the_papers_insets(threshold: int, kinds: list[str])
 
 
 def test_lines_of_transition_go_through_the_widths() -> None:
-    thresholds = [2, 7, 12, 20, 40]
+    thresholds = [0, 2, 7, 12, 20, 40]
     for theory in ("window", "renewal"):
         asked, line = Circuit(number=1000, threshold=1).transition_line(thresholds, theory)
         alone = [Circuit(number=1000, threshold=one).transition_width(theory) for one in thresholds]
         assert asked.tolist() == thresholds
         assert line == pytest.approx(np.array(alone), rel=1e-5, nan_ok=True)
-        assert np.isfinite(line).tolist() == [True, True, True, False, False]
+        assert np.isfinite(line).tolist() == [True, True, True, True, False, False]
 
 
 @pytest.mark.parametrize(

@@ -88,7 +88,12 @@ ODD: dict[str, dict[str, dict[str, object]]] = {
     "always": {"scan": {"threshold": 20}},
     "closed": {"table": {"channel2_width": 0.0}},
     "urn": {"table": {"shape": "urn"}},
-    "polygon": {"table": {"urn_shape": "polygon", "urn_sides": 6}},
+    "polygon": {
+        "table": {"urn_shape": "polygon", "urn_sides": 6},
+        "particles": {"number": 300, "urn1_fraction": 1.0},
+        "run": {"duration": 300.0, "transient_duration": 100.0},
+        "scan": {"threshold": 4},
+    },
     "scatterers": {"table": {"channel2_width": 0.3, "scatterers": [0.0, 0.0, 0.05]}},
     "map": {"scan": {"threshold": [1, 2], "channel2_width": [0.01, 0.05]}},
     "bare": {"output": BARE},

@@ -20,7 +20,7 @@ from postproc.figures import film
 from postproc.reading.points import Snapshot
 from postproc.reporting import data, warn
 from postproc.tests.commands import call
-from postproc.tests.runs import edited, leave_out, points_of, results_of
+from postproc.tests.runs import BARE, edited, leave_out, points_of, results_of
 from postproc.theory.circuit import Circuit
 from postproc.theory.models import MODELS
 
@@ -265,6 +265,16 @@ def test_what_memory_explains_is_no_warning(tmp_path: Path) -> None:
     (wrong,) = warn.warnings(results)
     assert wrong.startswith("T = 7, w' = 0.01, N = 1000: the net current is 4")
     assert "More replicas tell" in wrong
+
+
+def test_memory_of_polygons_is_not_asked_for(tmp_path: Path) -> None:
+    """Their polarised states carry more than well mixed urns would, and no theory says how much."""
+    file = results_of(
+        tmp_path / "hexagons.h5", table={"urn_shape": "polygon", "urn_sides": 6},
+        particles={"number": 300, "urn1_fraction": 1.0}, run={"transient_duration": 500.0},
+        scan={"threshold": 4}, output=BARE,
+    )  # fmt: skip
+    assert warn.warnings(points_of(file)) == []
 
 
 @pytest.mark.parametrize(("width", "measured"), [(0.004, 1.043), (0.02, 1.127), (0.073, 1.189)])
