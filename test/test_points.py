@@ -51,12 +51,13 @@ def scattered() -> list[tuple[float, float, float, float]]:
     return found
 
 
-def unequal(folder: Path, engine: str) -> dict[str, np.ndarray]:
-    """Run unequal urns with unequal gates."""
+@pytest.mark.parametrize("engine", ENGINES)
+def test_each_gate_turns_back_one_more_than_its_own_threshold(tmp_path: Path, engine: str) -> None:
+    """Of unequal urns, from the namelist to the file; and N1 changes by what crosses."""
     lines = [f"{x!r} {y!r} {ux!r} {uy!r}\n" for x, y, ux, uy in scattered()]
-    (folder / "start.txt").write_text("".join(lines))
+    (tmp_path / "start.txt").write_text("".join(lines))
     path = calculate(
-        folder,
+        tmp_path,
         engine,
         table={
             "urn_radius": ", ".join(map(str, RADII)),
@@ -76,15 +77,8 @@ def unequal(folder: Path, engine: str) -> dict[str, np.ndarray]:
         np.testing.assert_array_equal(file["urn_radius"], [RADII])
         np.testing.assert_array_equal(file["gate_threshold"], [THRESHOLDS])
         assert file["threshold"][0] == THRESHOLDS[0]
-        names = [f"events/{name}" for name in ("kind", "where", "particle")]
-        return {name: file[name][()] for name in [*names, "final/x", "series/urn1_number"]}
-
-
-@pytest.mark.parametrize("engine", ENGINES)
-def test_each_gate_turns_back_one_more_than_its_own_threshold(tmp_path: Path, engine: str) -> None:
-    """From the namelist to the file; and N1 changes by what crosses."""
-    found = unequal(tmp_path, engine)
-    kind, where, who = (found[f"events/{name}"] for name in ("kind", "where", "particle"))
+        kind, where, who = (file[f"events/{name}"][()] for name in ("kind", "where", "particle"))
+        course, x = file["series/urn1_number"][0, 0], file["final/x"][()]
     for gate, threshold in enumerate(THRESHOLDS, start=1):
         turned = who[(kind == REVERSES) & (where == gate)]
         assert turned.size > 0
@@ -92,9 +86,8 @@ def test_each_gate_turns_back_one_more_than_its_own_threshold(tmp_path: Path, en
     crossings = where[(kind == CROSSES1) | (kind == CROSSES2)]
     change = np.count_nonzero(crossings == 21) - np.count_nonzero(crossings == 12)
     assert set(crossings) == {12, 21}
-    course = found["series/urn1_number"][0, 0]
     assert course[-1] - course[0] == change
-    assert np.count_nonzero(found["final/x"] < 0) == course[-1]
+    assert np.count_nonzero(x < 0) == course[-1]
 
 
 def measured(path: Path) -> dict[str, tuple[object, ...]]:
