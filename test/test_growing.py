@@ -284,23 +284,6 @@ def test_all_replicas_may_be_asked_for_after_a_precision(tmp_path: Path, precise
     assert_same(tmp_path / "grown/out.h5", tmp_path / "whole/out.h5")
 
 
-def test_check_counts_no_replica_that_is_not_asked_for(tmp_path: Path) -> None:
-    """Neither as finished nor as to be done: the first replicas, then those that they ask for."""
-
-    def said(*words: str) -> str:
-        return run("--check", *words, "case.nml", folder=tmp_path).stdout
-
-    write(tmp_path, scan=WIDTHS, precision=ASKED)
-    assert "finished:   0 tasks; to be done: 32" in said()
-    complete(tmp_path)
-    with h5py.File(tmp_path / "out.h5") as file:
-        done = np.count_nonzero(file["task_status"][()] == 0)
-    assert f"finished:   {done} tasks; to be done: 0" in said()
-    assert "finished:   0 tasks; to be done: 32" in said("--overwrite")
-    write(tmp_path, scan=WIDTHS, precision={**ASKED, "chi_replica_error": 0.002})
-    assert f"finished:   {done} tasks; to be done: " in said()
-
-
 def test_what_points_may_still_ask_for_is_told_where_a_run_goes_on(tmp_path: Path) -> None:
     """Of one whose first replicas are not complete."""
     write(tmp_path, scan={**WIDTHS, "channel2_width": "0.01"})
@@ -417,6 +400,8 @@ def test_check_says_what_a_precision_may_cost(tmp_path: Path, precise: Path) -> 
     write(tmp_path, scan={**WIDTHS, "channel2_width": "0.01, 0.03, 0.1"}, precision=ASKED)
     assert f"finished:   {done} tasks; to be done: 16, and up to 34 more" in said()
     assert re.search(r" rank; \S+ s if the other points get as many replicas .*; at most", said())
+    write(tmp_path, scan=WIDTHS, precision={**ASKED, "chi_replica_error": 0.002})
+    assert f"finished:   {done} tasks; to be done: " in said()
 
 
 def test_coarser_precision_is_refused(tmp_path: Path, precise: Path) -> None:

@@ -14,7 +14,7 @@ from support import program
 
 if TYPE_CHECKING:
     from pathlib import Path
-    from subprocess import CompletedProcess, Popen
+    from subprocess import CompletedProcess
 
 #: So long that it is still at work when it is stopped or killed; or over in milliseconds.
 LONG, SHORT = 100_000_000_000, 1_000_000
@@ -37,17 +37,18 @@ def write(folder: Path, name: str = "case.nml", collisions: int = SHORT, **keys:
     )
 
 
-def under_way(folder: Path, *arguments: str, ranks: int = 0) -> tuple[Popen[str], list[int]]:
-    """Start a run and wait until it has saved a state."""
-    process = program.start("--quiet", *arguments, folder=folder, ranks=ranks)
-    numbers = program.rank_processes(process, ranks)
-    assert program.wait_for(lambda: any((folder / "out.h5.tasks").glob("task_*")), process)
-    return process, numbers
-
-
 def names(folder: Path) -> list[str]:
     """Give the names in a folder."""
     return sorted(path.name for path in folder.iterdir())
+
+
+@pytest.fixture(scope="module")
+def calm(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Give the results of a run that nothing disturbs."""
+    folder = tmp_path_factory.mktemp("calm")
+    write(folder)
+    assert program.run("case.nml", folder=folder).returncode == 0
+    return folder / "out.h5"
 
 
 @pytest.mark.parametrize("ranks", [0, 2])
@@ -55,7 +56,7 @@ def test_a_second_run_is_told_who_has_the_output(tmp_path: Path, ranks: int) -> 
     """The same input, or another with --overwrite, exits with 2; the first goes on undisturbed."""
     write(tmp_path, collisions=LONG)
     write(tmp_path, "other.nml", seed=2)
-    process, numbers = under_way(tmp_path, "case.nml", ranks=ranks)
+    process, numbers = program.under_way("--quiet", "case.nml", folder=tmp_path, ranks=ranks)
     # Stopped, so that it takes no processor time while the others wait.
     program.send(numbers, signal.SIGSTOP)
     others = [
@@ -93,32 +94,24 @@ def test_a_run_that_ends_soon_is_waited_for(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("ranks", [0, 2])
-def test_a_dead_owner_is_replaced(tmp_path: Path, ranks: int) -> None:
+def test_a_dead_owner_is_replaced(tmp_path: Path, calm: Path, ranks: int) -> None:
     """After kill -9 of all the same command goes on, and nothing is left of the dead owner."""
-    calm = tmp_path / "calm"
-    calm.mkdir()
-    write(calm)
-    assert program.run("case.nml", folder=calm).returncode == 0
     write(tmp_path, collisions=LONG)
-    process, _ = under_way(tmp_path, "case.nml", ranks=ranks)
+    process, _ = program.under_way("--quiet", "case.nml", folder=tmp_path, ranks=ranks)
     program.kill_all(process)
     program.finish(process)
     assert (tmp_path / "out.h5.owner").exists()
     write(tmp_path)
     ended = program.run("--overwrite", "case.nml", folder=tmp_path, ranks=ranks)
     assert ended.returncode == 0, ended.stderr
-    assert names(tmp_path) == ["calm", "case.nml", "out.h5"]
-    program.assert_same(tmp_path / "out.h5", calm / "out.h5")
+    assert names(tmp_path) == ["case.nml", "out.h5"]
+    program.assert_same(tmp_path / "out.h5", calm)
 
 
-def test_a_rank_that_outlives_rank_0_does_no_harm(tmp_path: Path) -> None:
+def test_a_rank_that_outlives_rank_0_does_no_harm(tmp_path: Path, calm: Path) -> None:
     """Another start is over and done with before the left rank wakes up."""
-    calm = tmp_path / "calm"
-    calm.mkdir()
-    write(calm)
-    assert program.run("case.nml", folder=calm).returncode == 0
     write(tmp_path, collisions=LONG)
-    process, numbers = under_way(tmp_path, "case.nml", ranks=2)
+    process, numbers = program.under_way("--quiet", "case.nml", folder=tmp_path, ranks=2)
     program.send(numbers[1:], signal.SIGSTOP)
     program.send([process.pid, numbers[0]], signal.SIGKILL)
     process.wait()
@@ -127,14 +120,14 @@ def test_a_rank_that_outlives_rank_0_does_no_harm(tmp_path: Path) -> None:
     program.send(numbers[1:], signal.SIGCONT)
     program.finish(process)
     assert ended.returncode == 0, ended.stderr
-    assert names(tmp_path) == ["calm", "case.nml", "out.h5"]
-    program.assert_same(tmp_path / "out.h5", calm / "out.h5")
+    assert names(tmp_path) == ["case.nml", "out.h5"]
+    program.assert_same(tmp_path / "out.h5", calm)
 
 
 def test_a_signal_ends_the_wait(tmp_path: Path) -> None:
     """A run that waits for another hears a signal, and exits with 3."""
     write(tmp_path, collisions=LONG)
-    process, numbers = under_way(tmp_path, "case.nml")
+    process, numbers = program.under_way("--quiet", "case.nml", folder=tmp_path)
     program.send(numbers, signal.SIGSTOP)
     second = program.start("case.nml", folder=tmp_path)
     assert program.wait_for(lambda: program.hears(second, signal.SIGTERM), second)
@@ -174,7 +167,7 @@ def test_killed_while_it_writes_the_lock_file(tmp_path: Path, after_another: boo
     folder.mkdir()
     if after_another:
         write(folder, collisions=LONG)
-        process, numbers = under_way(folder, "case.nml")
+        process, numbers = program.under_way("--quiet", "case.nml", folder=folder)
         program.send(numbers, signal.SIGKILL)
         program.finish(process)
     write(folder)
@@ -265,16 +258,6 @@ def test_a_launcher_that_fits_is_not_named(
     assert "programs of one rank" not in ended.stderr
 
 
-def test_the_file_of_the_owner_says_who_it_is(tmp_path: Path) -> None:
-    """Machine, process and time."""
-    write(tmp_path, collisions=LONG)
-    process, numbers = under_way(tmp_path, "case.nml")
-    text = (tmp_path / "out.h5.owner").read_text()
-    program.send(numbers, signal.SIGKILL)
-    program.finish(process)
-    assert text.startswith(f"{socket.gethostname()} {numbers[0]} 20")
-
-
 def test_a_check_takes_nothing(tmp_path: Path) -> None:
     """--check neither owns an output nor cares who does."""
     write(tmp_path)
@@ -301,21 +284,6 @@ def test_what_is_no_owner_is_named(tmp_path: Path, what: str) -> None:
     assert ended.returncode == 2, (ended.stdout, ended.stderr)
     assert "out.h5.owner: is not a file that a run has left; remove it" in ended.stderr
     assert target.read_text() == "precious"
-
-
-@pytest.mark.parametrize("text", ["precious", "mine since 2026-11-22\n", "a\0b", ""])
-def test_a_file_of_a_user_is_no_owner(tmp_path: Path, text: str) -> None:
-    """A file of that name that no run has left stays; an empty one may be about to be written."""
-    write(tmp_path)
-    owner = tmp_path / "out.h5.owner"
-    owner.write_text(text)
-    ended = program.run("case.nml", folder=tmp_path)
-    assert ended.returncode == 2, (ended.stdout, ended.stderr)
-    words = "is not a file that a run has left" if text else "if it has ended for certain, remove"
-    assert words in ended.stderr
-    assert "out.h5.owner" in ended.stderr
-    assert owner.read_text() == text
-    assert names(tmp_path) == ["case.nml", "out.h5.owner"]
 
 
 def test_what_an_owner_says_of_itself_gives_no_orders_to_a_terminal(tmp_path: Path) -> None:
@@ -345,7 +313,7 @@ def test_what_appears_under_the_name_of_the_output_stays(tmp_path: Path, what: s
         assert program.wait_for((tmp_path / "out.h5.tasks/rank_0").exists, process)
     else:
         write(tmp_path, collisions=LONG, wall_minutes=LIMIT)
-        process, numbers = under_way(tmp_path, "case.nml")
+        process, numbers = program.under_way("--quiet", "case.nml", folder=tmp_path)
     program.send(numbers, signal.SIGSTOP)
     if what == "link":
         output.symlink_to("nowhere")
@@ -365,15 +333,3 @@ def test_what_appears_under_the_name_of_the_output_stays(tmp_path: Path, what: s
     output.unlink()
     assert program.run("--quiet", "case.nml", folder=tmp_path).returncode == 3
     assert names(tmp_path) == ["case.nml", "out.h5", "out.h5.tasks"]
-
-
-def test_refused_and_complete_runs_leave_no_owner(tmp_path: Path) -> None:
-    """Whatever comes of a run, its claim is gone when it ends."""
-    write(tmp_path)
-    assert program.run("case.nml", folder=tmp_path).returncode == 0
-    assert "is complete" in program.run("case.nml", folder=tmp_path).stdout
-    write(tmp_path, seed=2)
-    assert program.run("case.nml", folder=tmp_path).returncode == 2
-    assert names(tmp_path) == ["case.nml", "out.h5"]
-    with h5py.File(tmp_path / "out.h5") as file:
-        assert file["task_status"].shape == (1, 2)

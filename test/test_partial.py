@@ -79,6 +79,7 @@ def test_beside_a_run_and_after_its_death_and_then_it_grows(tmp_path: Path, whol
     assert 0 < beside < TASKS
     send(numbers, signal.SIGKILL)
     finish(process)
+    assert not (tmp_path / "out.h5").exists()
     before = sorted(path.name for path in journal.iterdir())
     assert run("--partial", "case.nml", folder=tmp_path, ranks=2).returncode == 0
     assert beside <= check_true(tmp_path / PARTIAL, whole) < TASKS

@@ -15,11 +15,11 @@ from support.program import contents, namelist, run
 if TYPE_CHECKING:
     from pathlib import Path
 
-ENGINES = ["excursion", "collision", "synchronous", "timestep"]
+ENGINES = ["excursion", "collision", "synchronous", "timestep", "reservoir"]
 RADII, THRESHOLDS, WIDTHS = (1.0, 1.4), (1, 2), (0.5, 0.4)
 NUMBER, CROWD = 40, 120
-#: Who enters a gate, who is turned back, who crosses which line.
-ENTERS, REVERSES, CROSSES1, CROSSES2 = 1, 2, 3, 4
+#: Who is turned back, who crosses which line.
+REVERSES, CROSSES1, CROSSES2 = 2, 3, 4
 
 
 def calculate(folder: Path, name: str, **groups: dict[str, object]) -> Path:
@@ -51,21 +51,21 @@ def scattered() -> list[tuple[float, float, float, float]]:
     return found
 
 
-def unequal(folder: Path, engine: str, exchanged: bool) -> dict[str, np.ndarray]:
-    """Run unequal urns with unequal gates, as they are or with urn 1 and urn 2 exchanged."""
-    order, sign = (slice(None, None, -1), -1.0) if exchanged else (slice(None), 1.0)
-    lines = [f"{sign * x!r} {y!r} {sign * ux!r} {uy!r}\n" for x, y, ux, uy in scattered()]
-    (folder / "start.txt").write_text("".join(lines))
+@pytest.mark.parametrize("engine", ENGINES)
+def test_each_gate_turns_back_one_more_than_its_own_threshold(tmp_path: Path, engine: str) -> None:
+    """Of unequal urns, from the namelist to the file; and N1 changes by what crosses."""
+    lines = [f"{x!r} {y!r} {ux!r} {uy!r}\n" for x, y, ux, uy in scattered()]
+    (tmp_path / "start.txt").write_text("".join(lines))
     path = calculate(
-        folder,
-        f"{engine}{exchanged}",
+        tmp_path,
+        engine,
         table={
-            "urn_radius": ", ".join(map(str, RADII[order])),
+            "urn_radius": ", ".join(map(str, RADII)),
             "channel1_width": WIDTHS[0],
             "channel2_width": WIDTHS[1],
         },
         particles={"number": CROWD, "initial_file": "'start.txt'"},
-        gate={"threshold": ", ".join(map(str, THRESHOLDS[order]))},
+        gate={"threshold": ", ".join(map(str, THRESHOLDS))},
         run={
             "engine": f"'{engine}'",
             "duration": 12,
@@ -74,50 +74,20 @@ def unequal(folder: Path, engine: str, exchanged: bool) -> dict[str, np.ndarray]
         output={"event_log": ".true.", "final_state": ".true.", "series_interval": 1},
     )
     with h5py.File(path) as file:
-        np.testing.assert_array_equal(file["urn_radius"], [RADII[order]])
-        np.testing.assert_array_equal(file["gate_threshold"], [THRESHOLDS[order]])
-        assert file["threshold"][0] == THRESHOLDS[order][0]
-        names = [f"events/{name}" for name in ("time", "kind", "where", "particle")]
-        names += [f"final/{name}" for name in ("x", "y", "ux", "uy")]
-        names += ["series/urn1_number", "bounce_backs", "reversals"]
-        return {name: file[name][()] for name in names}
-
-
-def assert_gates_and_counts_hold(found: dict[str, np.ndarray], thresholds: tuple[int, ...]) -> None:
-    """Each gate turns back one more than its own threshold; N1 changes by what crosses."""
-    kind, where, who = (found[f"events/{name}"] for name in ("kind", "where", "particle"))
-    for gate, threshold in enumerate(thresholds, start=1):
+        np.testing.assert_array_equal(file["urn_radius"], [RADII])
+        np.testing.assert_array_equal(file["gate_threshold"], [THRESHOLDS])
+        assert file["threshold"][0] == THRESHOLDS[0]
+        kind, where, who = (file[f"events/{name}"][()] for name in ("kind", "where", "particle"))
+        course, x = file["series/urn1_number"][0, 0], file["final/x"][()]
+    for gate, threshold in enumerate(THRESHOLDS, start=1):
         turned = who[(kind == REVERSES) & (where == gate)]
         assert turned.size > 0
         assert (turned == threshold + 1).all()
     crossings = where[(kind == CROSSES1) | (kind == CROSSES2)]
     change = np.count_nonzero(crossings == 21) - np.count_nonzero(crossings == 12)
     assert set(crossings) == {12, 21}
-    course = found["series/urn1_number"][0, 0]
     assert course[-1] - course[0] == change
-    assert np.count_nonzero(found["final/x"] < 0) == course[-1]
-
-
-@pytest.mark.parametrize("engine", ENGINES)
-def test_exchanged_urns_and_gates_mirror_every_event(tmp_path: Path, engine: str) -> None:
-    """Radii, thresholds and particles exchanged: the same events, in the other urn and gate."""
-    one, other = (unequal(tmp_path, engine, exchanged) for exchanged in (False, True))
-    assert_gates_and_counts_hold(one, THRESHOLDS)
-    assert_gates_and_counts_hold(other, THRESHOLDS[::-1])
-    mirrored = {1: 2, 2: 1, 12: 21, 21: 12}
-    np.testing.assert_array_equal(one["events/kind"], other["events/kind"])
-    np.testing.assert_array_equal(one["events/particle"], other["events/particle"])
-    assert [mirrored[at] for at in one["events/where"]] == other["events/where"].tolist()
-    np.testing.assert_allclose(one["events/time"], other["events/time"], atol=1e-8)
-    for name, sign in (("x", -1), ("y", 1), ("ux", -1), ("uy", 1)):
-        np.testing.assert_allclose(one[f"final/{name}"], sign * other[f"final/{name}"], atol=1e-6)
-    course = one["series/urn1_number"] + other["series/urn1_number"]
-    assert (course == CROWD).all()
-
-
-def test_reservoir_has_a_threshold_for_each_gate(tmp_path: Path) -> None:
-    """The engine of chance, too, turns back by each gate's own threshold."""
-    assert_gates_and_counts_hold(unequal(tmp_path, "reservoir", exchanged=False), THRESHOLDS)
+    assert np.count_nonzero(x < 0) == course[-1]
 
 
 def measured(path: Path) -> dict[str, tuple[object, ...]]:
@@ -264,37 +234,6 @@ def test_an_initial_file_that_does_not_fit_a_point_is_refused_with_the_point(
     first, *lines = ended.stderr.splitlines()
     assert first.endswith("initial_file = 'start.txt' cannot be used where urn_radius = 0.5:")
     assert lines[0] == "start.txt, line 1: lies outside the table: x = -1.2, y = 0.6"
-
-
-def test_the_values_of_a_range_are_those_that_a_person_would_write(tmp_path: Path) -> None:
-    """A range from 0.1 to 0.3 has 0.2 in its middle: the same seeds, the same bits."""
-    ranged = calculate(tmp_path, "ranged", scan={"channel2_width_range": "0.1, 0.3, 3"})
-    listed = calculate(tmp_path, "listed", scan={"channel2_width": "0.1, 0.2, 0.3"})
-    assert measured(ranged) == measured(listed)
-    with h5py.File(ranged) as file:
-        assert file["channel2_width"][()].tolist() == [0.1, 0.2, 0.3]
-
-
-TWICE = {
-    "a value": ({"threshold": "1, 2, 1"}, "&scan threshold = 1;"),
-    "equal to twelve digits": (
-        {"channel2_width": "0.1, 0.10000000000000002"}, "&scan channel2_width = 0.1"),
-    "a rounded share": ({"threshold_fraction": "0.05, 0.051"}, "threshold_fraction = 0.051"),
-}  # fmt: skip
-
-
-@pytest.mark.parametrize("case", TWICE)
-def test_a_point_that_is_there_twice_is_refused(tmp_path: Path, case: str) -> None:
-    """Its task would be done twice, with the same seed."""
-    scan, words = TWICE[case]
-    gate = {} if "threshold" in str(scan) else {"threshold": 2}
-    (tmp_path / "case.nml").write_text(
-        namelist(particles={"number": NUMBER}, gate=gate, run={"duration": 1}, scan=scan)
-    )
-    ended = run("case.nml", folder=tmp_path)
-    assert ended.returncode == 2, ended.stdout
-    assert words in ended.stderr
-    assert "every point once" in ended.stderr
 
 
 def test_large_numbers_are_shown_whole(tmp_path: Path) -> None:

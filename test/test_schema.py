@@ -98,12 +98,3 @@ def test_descriptions_have_unit_and_default(schema: Draft202012Validator) -> Non
     width = schema.schema["properties"]["table"]["properties"]["channel1_width"]
     words = ["width of channel 1", "one number above 0", "unit: length", "paper: w", "default: 0.3"]
     assert all(word in width["description"] for word in words)
-
-
-def test_the_schema_takes_no_file(tmp_path: Path) -> None:
-    """One message that names it, exit 2."""
-    ended = run("--schema", "case.nml", folder=tmp_path)
-    assert ended.returncode == 2
-    assert ended.stderr.count("battery: ") == 1
-    assert "case.nml: --schema takes no file" in ended.stderr
-    assert ended.stdout == ""

@@ -9,11 +9,9 @@ import pytest
 from support.program import (
     finish,
     hears,
-    rank_processes,
     run,
     send,
-    start,
-    wait_for,
+    under_way,
     write_case,
 )
 
@@ -52,10 +50,7 @@ def test_a_stopped_run_names_the_ways_that_lose_nothing(tmp_path: Path) -> None:
 def test_the_signal_that_mpirun_passes_on_loses_nothing(tmp_path: Path) -> None:
     """SIGUSR1 to mpirun: the state is saved, and mpirun has the program's exit code."""
     write_case(CASE, tmp_path)
-    process = start("case.nml", folder=tmp_path, ranks=2)
-    assert rank_processes(process, 2)
-    # A signal that comes before the task has begun finds nothing to save.
-    assert wait_for(lambda: any((tmp_path / "out.h5.tasks").glob("task_*")), process)
+    process, _ = under_way("case.nml", folder=tmp_path, ranks=2)
     send([process.pid], signal.SIGUSR1)
     ended = finish(process)
     assert ended.returncode == 3, (ended.stdout, ended.stderr)
@@ -78,9 +73,7 @@ def test_the_signals_of_batch_systems_and_terminals_lose_nothing(
 ) -> None:
     """A warning, an exhausted processor time, a closed terminal: the state is saved, exit 3."""
     write_case(CASE, tmp_path)
-    process = start("case.nml", folder=tmp_path, ranks=ranks)
-    assert rank_processes(process, ranks)
-    assert wait_for(lambda: any((tmp_path / "out.h5.tasks").glob("task_*")), process)
+    process, _ = under_way("case.nml", folder=tmp_path, ranks=ranks)
     send([process.pid], what)
     ended = finish(process)
     assert ended.returncode == 3, (ended.stdout, ended.stderr)
@@ -94,8 +87,7 @@ def test_nohup_keeps_a_run_from_the_signal_of_its_terminal(tmp_path: Path) -> No
         signal.signal(signal.SIGHUP, signal.SIG_IGN)
 
     write_case(CASE, tmp_path)
-    process = start("case.nml", folder=tmp_path, prepare=ignore)
-    assert wait_for(lambda: any((tmp_path / "out.h5.tasks").glob("task_*")), process)
+    process, _ = under_way("case.nml", folder=tmp_path, prepare=ignore)
     assert not hears(process, signal.SIGHUP)
     send([process.pid], signal.SIGHUP)
     send([process.pid], signal.SIGUSR1)
@@ -109,10 +101,7 @@ def test_a_longer_grace_of_mpirun_loses_nothing(tmp_path: Path) -> None:
         pytest.skip("only Open MPI 4 has that setting")
     write_case(CASE, tmp_path)
     grace = {"OMPI_MCA_odls_base_sigkill_timeout": "8"}
-    process = start("case.nml", folder=tmp_path, ranks=2, environment=grace)
-    assert rank_processes(process, 2)
-    # A signal that comes before the task has begun finds nothing to save.
-    assert wait_for(lambda: any((tmp_path / "out.h5.tasks").glob("task_*")), process)
+    process, _ = under_way("case.nml", folder=tmp_path, ranks=2, environment=grace)
     send([process.pid], signal.SIGTERM)
     finish(process)
     states = list((tmp_path / "out.h5.tasks").glob("task_*"))

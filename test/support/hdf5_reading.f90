@@ -21,23 +21,13 @@ module hdf5_reading
 
 contains
 
-  !> Whether a path leads to a group or dataset.
-  function path_exists(file, path) result(yes)
-    !> An open file.
+  !> Whether a group or dataset of that name lies at the top of an open `file`.
+  logical function path_exists(file, path) result(yes)
     type(hdf5_file_type), intent(in) :: file
-    !> Absolute path.
     character(len=*), intent(in) :: path
-    logical :: yes
-    integer :: last, slash, status
+    integer :: status
 
-    yes = .true.
-    last = 1
-    do while (yes .and. last < len(path))
-      slash = index(path(last + 1:), '/')
-      last = merge(len(path), last + slash, slash == 0)
-      call h5lexists_f(file%id, path(:merge(last, last - 1, slash == 0)), yes, status)
-      yes = yes .and. status == 0
-    end do
+    call h5lexists_f(file%id, path, yes, status)
   end function path_exists
 
   subroutine read_real64(file, path, name, value, error)

@@ -152,6 +152,25 @@ def run(
     )
 
 
+def under_way(
+    *arguments: str,
+    folder: Path,
+    ranks: int = 0,
+    prepare: Callable[[], None] | None = None,
+    environment: dict[str, str] | None = None,
+) -> tuple[subprocess.Popen[str], list[int]]:
+    """Start a run of `out.h5` and wait until it has saved a state; also give its processes.
+
+    A signal that comes before a task has begun finds nothing to save.
+    """
+    process = start(
+        *arguments, folder=folder, ranks=ranks, prepare=prepare, environment=environment
+    )
+    numbers = rank_processes(process, ranks)
+    assert wait_for(lambda: any((folder / "out.h5.tasks").glob("task_*")), process)
+    return process, numbers
+
+
 def rank_processes(process: subprocess.Popen[str], ranks: int) -> list[int]:
     """Wait until all ranks run, and give their process numbers; without mpirun, that of the one."""
     if ranks == 0:

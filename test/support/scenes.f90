@@ -6,9 +6,11 @@ module scenes
   use battery_table, only: table_type, urn_type, channel_type, new_table, shape_circuit, &
     chamber_at, outside, in_urn
   use battery_engine, only: particles_type
+  use battery_visits, only: visits_type, reserve_visits
   implicit none (type, external)
   private
-  public :: table_3_4_5, uneven_table, paper_table, polygon_urn, polygon_table, draw
+  public :: table_3_4_5, uneven_table, unequal_table, paper_table, polygon_urn, polygon_table
+  public :: draw, enter_urn
   public :: scatter, pick, mirrored_x, mirrored_y, reversed, of_particles, one_particle
   public :: count_in_first, same_bits, facing, channel_of
 
@@ -38,6 +40,14 @@ contains
 
     table = new_table(shape_circuit, 1.25_wp, 0.7_wp, 1.5_wp, 0.4_wp, 0.75_wp)
   end function uneven_table
+
+  !> The same with urns of unequal radius.
+  pure function unequal_table() result(table)
+    type(table_type) :: table
+
+    table = new_table(shape_circuit, [urn_type(radius=1.25_wp), urn_type(radius=0.75_wp)], &
+      [channel_type(0.7_wp, 1.5_wp), channel_type(0.4_wp, 0.75_wp)])
+  end function unequal_table
 
   !> Table of the paper's figures with w = 0.3 and w' = 0.01.
   pure function paper_table() result(table)
@@ -103,6 +113,33 @@ contains
       call draw_one(state, numbers(i))
     end do
   end subroutine draw_many
+
+  !> Makes `number` visits that enter an urn by the cosine law, uniformly over its openings.
+  subroutine enter_urn(urn, number, seed, visits)
+    type(urn_type), intent(in) :: urn
+    integer, intent(in) :: number, seed
+    type(visits_type), intent(inout) :: visits
+    integer(int64) :: state
+    real(wp) :: a(2), place, sine
+    integer :: i, from
+
+    state = seed
+    call reserve_visits(visits, number)
+    visits%count = number
+    do i = 1, number
+      call draw(state, a)
+      place = a(1)*sum(urn%width)
+      from = merge(1, 2, place < urn%width(1))
+      if (from == 2) place = place - urn%width(1)
+      sine = 2.0_wp*a(2) - 1.0_wp
+      visits%channel(i) = from
+      visits%x(i) = (3 - 2*from)*urn%chord(from)
+      visits%y(i) = place - urn%half_width(from)
+      visits%u_axial(i) = (2*from - 3)*sqrt((1.0_wp - sine)*(1.0_wp + sine))
+      visits%u_lateral(i) = sine
+      visits%hits(i) = 0.0_wp
+    end do
+  end subroutine enter_urn
 
   !> Makes `number` particles with random directions, uniform in the table (`everywhere`) or in its
   !> urns.
