@@ -11,7 +11,7 @@ module battery_files
   private
   public :: file_exists, is_readable, is_writable, is_locked, is_disk_error, files_matching
   public :: may_open
-  public :: sync_file, rename_file, remove_file, make_folder, publish_file, write_parts
+  public :: sync_file, remove_file, make_folder, publish_file, write_parts
   public :: file_stamp_type, file_stamp_at, has_stamp, publish_unless_replaced
 
   !> Stamp of the file that a name referred to at one time; initially: no file.
@@ -117,18 +117,8 @@ contains
     call set_system_error(c_sync(path//c_null_char), path//': cannot be written to the disk', error)
   end subroutine sync_file
 
-  !> Renames a file atomically; a file that had the new name is replaced.
-  subroutine rename_file(old, new, error)
-    !> Old and new path, on one file system.
-    character(len=*), intent(in) :: old, new
-    type(error_type), allocatable, intent(out) :: error
-
-    if (c_rename(old//c_null_char, new//c_null_char) /= 0) &
-      call fatal_error(error, old//': cannot be renamed to '//new//': '//system_message())
-  end subroutine rename_file
-
-  !> Puts a finished temporary file under its final name, so that after a crash there is either the
-  !> old file or the new one, whole.
+  !> Puts a finished temporary file under its final name, at once and in place of a file that had
+  !> it, so that after a crash there is either the old file or the new one, whole.
   subroutine publish_file(temporary, final, error)
     !> Paths of the two files, in one folder.
     character(len=*), intent(in) :: temporary, final
@@ -136,9 +126,11 @@ contains
 
     call sync_file(temporary, error)
     if (allocated(error)) return
-    call rename_file(temporary, final, error)
-    if (allocated(error)) return
-    call sync_file(folder_of(final), error)
+    if (c_rename(temporary//c_null_char, final//c_null_char) == 0) then
+      call sync_file(folder_of(final), error)
+    else
+      call fatal_error(error, temporary//': cannot be renamed to '//final//': '//system_message())
+    end if
   end subroutine publish_file
 
   !> Stamp of the file that a name refers to now, to detect later that it was replaced.
