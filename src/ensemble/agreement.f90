@@ -5,7 +5,7 @@ module battery_agreement
   use battery_communicator, only: communicator_type, share_error, share_text, sleep_until_all
   use battery_error, only: error_type, fatal_error, exit_bad_input
   use battery_kinds, only: dp
-  use battery_machine, only: host_name
+  use battery_process, only: host_name
   use battery_lock_file, only: lock_type, is_lock_visible
   use battery_signals, only: stop_requested, set_stop_error
   use battery_text, only: string_type, to_text, join

@@ -10,14 +10,13 @@ module battery_startup
   use battery_journal, only: journal_type, find_journal, task_ids_of, begin_journal, join_journal, &
     states_in, check_journal, remove_journal
   use battery_lock_file, only: lock_type, acquire_lock, release_lock
-  use battery_machine, only: host_name
   use battery_merge, only: collect_results, sources_type, open_sources, close_sources, &
     write_results_of
   use battery_namelist_input, only: differing_keys, parse_namelist
   use battery_plan, only: plan_type
   use battery_plan_remarks, only: remarks_of
   use battery_results, only: results_type, task_complete, point_undecided
-  use battery_process, only: process_number
+  use battery_process, only: process_number, host_name
   use battery_results_file, only: results_file_type, open_results, close_results, accept_results
   use battery_tasks, only: task_type, task_count, task_of, order_tasks, task_index_type, &
     task_index_of, task_number_of

@@ -27,7 +27,7 @@ module battery_file_text
       integer(c_size_t), value, intent(in) :: length
     end function c_write_file
 
-    integer(c_int) function c_close(descriptor) bind(c, name='battery_close')
+    integer(c_int) function c_close(descriptor) bind(c, name='close')
       import :: c_int
       implicit none (type, external)
       integer(c_int), value, intent(in) :: descriptor

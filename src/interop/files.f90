@@ -1,10 +1,10 @@
 !> Operations on files that Fortran lacks: sync, atomic rename, removal, permissions, folders and
 !> their contents.
 module battery_files
-  use, intrinsic :: iso_c_binding, only: c_char, c_int, c_int64_t, c_ptr, c_null_char, c_associated
+  use, intrinsic :: iso_c_binding, only: c_char, c_int, c_int64_t, c_ptr, c_null_char, c_null_ptr, &
+    c_associated
   use battery_error, only: error_type, fatal_error, exit_failure, exit_bad_input
-  use battery_c_shapes, only: returns_number, number_of_path, number_of_paths, number_of_address, &
-    address_of_path
+  use battery_c_shapes, only: returns_number, number_of_path, number_of_paths
   use battery_paths, only: is_folder, folder_of, system_message, set_system_error, c_text_at
   use battery_text, only: string_type
   implicit none (type, external)
@@ -29,15 +29,13 @@ module battery_files
   procedure(number_of_path), bind(c, name='battery_sync') :: c_sync
   procedure(number_of_paths), bind(c, name='rename') :: c_rename
   procedure(returns_number), bind(c, name='battery_is_disk_error') :: c_is_disk_error
-  procedure(address_of_path), bind(c, name='opendir') :: c_opendir
-  procedure(number_of_address), bind(c, name='closedir') :: c_closedir
 
   interface
-    type(c_ptr) function c_next_like(folder, pattern) bind(c, name='battery_next_like')
+    type(c_ptr) function c_next_like(folder, path, pattern) bind(c, name='battery_next_like')
       import :: c_char, c_ptr
       implicit none (type, external)
-      type(c_ptr), value, intent(in) :: folder
-      character(kind=c_char), intent(in) :: pattern(*)
+      type(c_ptr), intent(inout) :: folder
+      character(kind=c_char), intent(in) :: path(*), pattern(*)
     end function c_next_like
 
     !> Whether this process may have so many files open at the same time; its limit is raised if
@@ -235,26 +233,22 @@ contains
     type(string_type), allocatable :: names(:)
     type(string_type), allocatable :: more(:)
     type(c_ptr) :: open_folder, name
-    integer :: status
     integer :: found
 
     allocate (names(16))
     found = 0
-    open_folder = c_opendir(folder//c_null_char)
-    if (c_associated(open_folder)) then
-      do
-        name = c_next_like(open_folder, pattern//c_null_char)
-        if (.not. c_associated(name)) exit
-        if (found == size(names)) then
-          allocate (more(2*found))
-          more(:found) = names
-          call move_alloc(more, names)
-        end if
-        found = found + 1
-        names(found)%text = c_text_at(name)
-      end do
-      status = c_closedir(open_folder)
-    end if
+    open_folder = c_null_ptr
+    do
+      name = c_next_like(open_folder, folder//c_null_char, pattern//c_null_char)
+      if (.not. c_associated(name)) exit
+      if (found == size(names)) then
+        allocate (more(2*found))
+        more(:found) = names
+        call move_alloc(more, names)
+      end if
+      found = found + 1
+      names(found)%text = c_text_at(name)
+    end do
     names = names(:found)
   end function files_matching
 
