@@ -33,7 +33,8 @@ program events
   table = new_table(merge(shape_circuit, shape_urn, shape == 'circuit'), radius, width1, length1, &
     width2, length2)
   call read_file(trim(file), text, error)
-  if (.not. allocated(error)) call parse_particles(text, trim(file), table, number, particles, error)
+  if (.not. allocated(error)) &
+    call parse_particles(text, trim(file), table, number, particles, error)
   if (.not. allocated(error)) call new_engine(trim(name), engine, error)
   if (allocated(error)) error stop error%message
   engine%time_step = time_step
