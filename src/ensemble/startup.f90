@@ -423,10 +423,13 @@ contains
     type(task_type) :: task
     integer :: k
 
-    ! Without a precision all replicas are needed.
-    yes = task_count(old) <= task_count(plan) .and. plan%first_replicas &
-      >= old%first_replicas .and. (all(is_finer(plan%precision, old%precision)) &
-      .or. .not. any(plan%precision > 0.0_wp))
+    ! Without a precision (0) all replicas are needed; else each error that was required before must
+    ! be required still, and be at most that.
+    associate (now => plan%precision, before => old%precision)
+      yes = task_count(old) <= task_count(plan) .and. plan%first_replicas >= old%first_replicas &
+        .and. (all(.not. before > 0.0_wp .or. (now > 0.0_wp .and. now <= before)) &
+        .or. .not. any(now > 0.0_wp))
+    end associate
     if (.not. yes) return
     task_index = task_index_of(plan)
     do k = 1, task_count(old)
@@ -435,12 +438,5 @@ contains
       if (.not. yes) return
     end do
   end function has_all_of
-
-  !> Whether a required error is at most the one required before; 0: none is required.
-  elemental logical function is_finer(precision, before) result(yes)
-    real(wp), intent(in) :: precision, before
-
-    yes = .not. before > 0.0_wp .or. (precision > 0.0_wp .and. precision <= before)
-  end function is_finer
 
 end module battery_startup
