@@ -3,7 +3,7 @@
 program battery
   use battery_json_report, only: check_json_file, write_run_json
   use battery_error, only: error_type, exit_success, exit_failure
-  use battery_agreement, only: check_command_lines
+  use battery_launcher, only: check_command_lines
   use battery_command_line, only: command_line_type, command_line_words, parse_arguments, check, &
     overwrite, quiet, accept, partial, self_test, version
   use battery_communicator, only: communicator_type, open_communicator, close_communicator, &

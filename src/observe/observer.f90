@@ -256,7 +256,8 @@ contains
     integer :: capacity, status
 
     capacity = observer%entries + max(256, observer%entries)
-    allocate (urn1_number(capacity), flow(4, capacity), stat=status)
+    allocate (urn1_number(capacity), stat=status)
+    if (status == 0) allocate (flow(4, capacity), stat=status)
     observer%out_of_room = status /= 0
     if (observer%out_of_room) return
     urn1_number(:observer%entries) = observer%series_urn1_number

@@ -31,8 +31,10 @@ contains
     type(error_type), allocatable, intent(out) :: error
     integer :: status
 
-    allocate (particles%x(number), particles%y(number), particles%ux(number), &
-      particles%uy(number), stat=status)
+    allocate (particles%x(number), stat=status)
+    if (status == 0) allocate (particles%y(number), stat=status)
+    if (status == 0) allocate (particles%ux(number), stat=status)
+    if (status == 0) allocate (particles%uy(number), stat=status)
     if (status /= 0) call fatal_error(error, 'no memory for '//to_text(number)//' particles')
   end subroutine allocate_particle_arrays
 
