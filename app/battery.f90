@@ -3,8 +3,9 @@
 program battery
   use battery_json_report, only: check_json_file, write_run_json
   use battery_error, only: error_type, exit_success, exit_failure
-  use battery_agreement, only: check_command_lines
-  use battery_command_line, only: command_line_type, command_line_words, parse_arguments
+  use battery_launcher, only: check_command_lines
+  use battery_command_line, only: command_line_type, command_line_words, parse_arguments, check, &
+    overwrite, quiet, accept, partial, self_test, version
   use battery_communicator, only: communicator_type, open_communicator, close_communicator, &
     share_error, ranks_on_node, wait_for_all
   use battery_ensemble, only: run_ensemble, set_time_limit
@@ -46,12 +47,12 @@ program battery
   call check_command_lines(communicator, words, error)
   if (.not. allocated(error)) call parse_arguments(words, command_line, error)
   if (.not. allocated(error)) then
-    if (command_line%self_test) then
+    if (command_line%has(self_test)) then
       call run_self_test(communicator, error)
-    else if (command_line%text_to_print == '' .and. .not. command_line%version) then
+    else if (command_line%text_to_print == '' .and. .not. command_line%has(version)) then
       call run()
     else if (communicator%rank == 0) then
-      if (command_line%version) command_line%text_to_print = version_text()
+      if (command_line%has(version)) command_line%text_to_print = version_text()
       call print_line(command_line%text_to_print)
     end if
   end if
@@ -84,12 +85,13 @@ contains
       call check_json_file(command_line%json, plan, error)
     call share_error(communicator, error)
     if (allocated(error)) return
-    if (command_line%accept .or. command_line%partial) then
-      if (communicator%rank == 0 .and. command_line%accept) call accept_output(plan, message, error)
-      if (communicator%rank == 0 .and. command_line%partial) call write_partial_results(plan, &
-        message, error)
+    if (any(command_line%has([accept, partial]))) then
+      if (communicator%rank == 0 .and. command_line%has(accept)) &
+        call accept_output(plan, message, error)
+      if (communicator%rank == 0 .and. command_line%has(partial)) &
+        call write_partial_results(plan, message, error)
       call share_error(communicator, error)
-      if (communicator%rank == 0 .and. .not. (allocated(error) .or. command_line%quiet)) &
+      if (communicator%rank == 0 .and. .not. (allocated(error) .or. command_line%has(quiet))) &
         call print_line(message)
       return
     end if
@@ -97,13 +99,13 @@ contains
     call estimate_memory(plan, ranks_on_node(communicator), estimate, error)
     call share_error(communicator, error)
     if (allocated(error)) return
-    if (.not. command_line%check) then
-      call run_ensemble(plan, communicator, command_line%overwrite, command_line%quiet, exit_code, &
-        error)
+    if (.not. command_line%has(check)) then
+      call run_ensemble(plan, communicator, command_line%has(overwrite), command_line%has(quiet), &
+        exit_code, error)
       if (communicator%rank == 0 .and. .not. allocated(error)) &
         call write_run_json(command_line%json, plan%file, error)
     else if (communicator%rank == 0) then
-      call print_plan_report(plan, communicator%size, estimate, command_line%overwrite, &
+      call print_plan_report(plan, communicator%size, estimate, command_line%has(overwrite), &
         command_line%json, error)
     end if
     call share_error(communicator, error)

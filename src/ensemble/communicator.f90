@@ -189,7 +189,7 @@ contains
 
     terminal = is_terminal()
     call get_environment_variable('OMPI_COMM_WORLD_RANK', length=length)
-    if (length > 0 .and. terminal) terminal = parent_is_terminal(unknown=terminal)
+    if (length > 0 .and. terminal) terminal = parent_is_terminal()
   end function output_is_terminal
 
   !> Mean of one value per rank. Collective.

@@ -5,14 +5,13 @@
 !> continued from its journal; results depend on the plan alone, not on ranks, order or stops.
 module battery_ensemble
   use battery_kinds, only: wp, dp, int64
-  use battery_agreement, only: check_output_folder
   use battery_clocks, only: wall_seconds, utc_now
   use battery_communicator, only: communicator_type, task_queue_type, open_task_queue, &
     close_task_queue, read_counter, share_error, share_text, mean_over_ranks, tasks_finished, &
     tasks_failed, collisions_done, sleep_until_all
   use battery_error, only: error_type, fatal_error, exit_success, exit_failure, exit_stopped_early
   use battery_journal, only: check_lock, remove_journal
-  use battery_launcher, only: launcher_hint
+  use battery_launcher, only: check_output_folder, launcher_hint
   use battery_merge, only: merge_results, sources_type, close_sources
   use battery_lock_file, only: lock_type, acquire_lock, release_lock
   use battery_plan, only: plan_type

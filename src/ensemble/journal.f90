@@ -135,18 +135,14 @@ contains
     integer(int64), allocatable :: task_id(:)
     type(record_type) :: record
     logical :: found
-    integer :: k, good
+    integer :: k
 
-    allocate (task_id(size(journal%names)))
-    good = 0
-    do k = 1, size(task_id)
+    allocate (task_id(0))
+    do k = 1, size(journal%names)
       if (index(journal%names(k)%text, 'plan') == 1) cycle
       call read_single_record(journal%folder//'/'//journal%names(k)%text, record, found)
-      if (.not. found) cycle
-      good = good + 1
-      task_id(good) = record%owner
+      if (found) task_id = [task_id, record%owner]
     end do
-    task_id = task_id(:good)
   end function task_ids_of
 
   !> Begins the journal: writes the plan, on rank 0, before any rank writes anything else.
@@ -209,6 +205,7 @@ contains
     type(error_type), allocatable, intent(out) :: error
     character(len=:), allocatable :: state
     logical :: has_state
+    integer :: k
 
     call check_lock(journal, error)
     if (allocated(error)) return
@@ -218,7 +215,9 @@ contains
     state = state_file(journal, found%task_id)
     has_state = file_exists(state//generations(1)) .or. file_exists(state//generations(2))
     if (has_state .or. wall_seconds() >= journal%next_sync) call sync_finished(journal, error)
-    if (has_state .and. .not. allocated(error)) call remove_states(state, error)
+    do k = 1, merge(2, 0, has_state)
+      if (.not. allocated(error)) call remove_file(state//generations(k), error)
+    end do
   end subroutine write_finished
 
   !> Syncs all results of this rank to disk, always; `write_finished` decides when to call it.
@@ -247,16 +246,6 @@ contains
     if (is_lock_lost(journal%lock)) call fatal_error(error, &
       lock_lost_text(journal%lock))
   end subroutine check_lock
-
-  !> Removes both generations of the state of a task.
-  subroutine remove_states(name, error)
-    !> Name of the state files, without the suffix of the generation.
-    character(len=*), intent(in) :: name
-    type(error_type), allocatable, intent(out) :: error
-
-    call remove_file(name//generations(1), error)
-    if (.not. allocated(error)) call remove_file(name//generations(2), error)
-  end subroutine remove_states
 
   !> Saves the state of a simulation over the older of its two generations.
   subroutine write_state(journal, task, simulation, cpu_seconds, error)
@@ -337,18 +326,16 @@ contains
   pure function numbers_in(names) result(numbers)
     type(string_type), intent(in) :: names(:)
     integer, allocatable :: numbers(:)
-    integer :: k, found, status
+    integer :: k, number, status
 
-    allocate (numbers(size(names)))
-    found = 0
+    allocate (numbers(0))
     do k = 1, size(names)
       if (index(names(k)%text, 'rank_') /= 1) cycle
-      read (names(k)%text(6:), *, iostat=status) numbers(found + 1)
+      read (names(k)%text(6:), *, iostat=status) number
       if (status /= 0) cycle
-      if (names(k)%text /= 'rank_'//to_text(numbers(found + 1))) cycle
-      if (numbers(found + 1) >= 0 .and. numbers(found + 1) < huge(1)) found = found + 1
+      if (names(k)%text /= 'rank_'//to_text(number)) cycle
+      if (number >= 0 .and. number < huge(1)) numbers = [numbers, number]
     end do
-    numbers = numbers(:found)
   end function numbers_in
 
   !> Number of tasks that have a saved state.

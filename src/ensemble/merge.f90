@@ -14,10 +14,11 @@ module battery_merge
   use battery_fingerprint, only: fingerprint_text
   use battery_hdf5_attributes, only: write_attribute, write_text_attribute
   use battery_hdf5_file, only: hdf5_file_type, make_group, no_handle
+  use battery_identity, only: task_id_with
   use battery_journal, only: journal_type, rank_file, rank_files_of
   use battery_plan, only: plan_type, point_of
   use battery_precision, only: decide_replicas
-  use battery_provenance, only: build_attributes, build_value, command_text
+  use battery_provenance, only: attribute_type, build_attributes, command_text
   use battery_quantities, only: counted_quantities, place_of, unknown_real, unknown_count
   use battery_record_file, only: record_reader_type, open_records, close_records
   use battery_results, only: results_type, new_results, task_complete, task_failed, &
@@ -27,7 +28,7 @@ module battery_merge
   use battery_task_output, only: prepare_outputs, serialize_slabs, ended_early, series, events
   use battery_task_result, only: task_result_type, next_result
   use battery_tasks, only: task_type, task_count, task_of, task_index_type, task_index_of, &
-    task_number_of, task_id_in_results
+    task_number_of
   use battery_text, only: string_type, to_text, join, numbers_text, new_line_character
   implicit none (type, external)
   private
@@ -186,11 +187,13 @@ contains
     character(len=*), intent(in) :: start_date
     type(results_type), intent(in) :: results
     type(error_type), allocatable, intent(inout) :: error
+    type(attribute_type) :: build(8)
     integer :: k
 
     if (allocated(error)) return
-    do k = 1, size(build_attributes)
-      call write_text_attribute(file, '/', trim(build_attributes(k)), build_value(k), error)
+    build = build_attributes()
+    do k = 1, size(build)
+      call write_text_attribute(file, '/', trim(build(k)%name), build(k)%text, error)
     end do
     call write_text_attribute(file, '/', 'namelist', plan%text, error)
     call write_text_attribute(file, '/', 'initial_file_fingerprint', trim(merge(repeat(' ', 16), &
@@ -275,7 +278,7 @@ contains
           do r = 1, before%replicas
             if (before%task_status(r, p) /= task_complete) cycle
             found%status = task_complete
-            found%task_id = task_id_in_results(plan, before%seed(r, p))
+            found%task_id = task_id_with(before%seed(r, p), plan, plan%final_state)
             found%measured%average = before%average(r, p, :)
             found%measured%error = before%error(r, p, :)
             found%measured%counted = before%counted(r, p, :)

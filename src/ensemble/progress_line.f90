@@ -17,7 +17,8 @@ module battery_progress_line
   type :: progress_line_type
     !> Whether anything is printed, and whether lines can be overwritten.
     logical :: speaks = .false., terminal = .false.
-    real(dp) :: began = 0.0_dp, next = 0.0_dp
+    !> Time of the start and of the next line, and seconds between two lines.
+    real(dp) :: began = 0.0_dp, next = 0.0_dp, interval = 0.0_dp
     logical :: line_open = .false.
     !> Number of tasks of the ensemble.
     integer :: tasks = 0
@@ -43,8 +44,8 @@ contains
     progress_line%terminal = output_is_terminal()
     progress_line%tasks = tasks
     progress_line%began = wall_seconds()
-    progress_line%next = progress_line%began + merge(terminal_interval, log_interval, &
-      progress_line%terminal)
+    progress_line%interval = merge(terminal_interval, log_interval, progress_line%terminal)
+    progress_line%next = progress_line%began + progress_line%interval
   end function new_progress_line
 
   !> Prints the progress of the ensemble, if a line is due: tasks finished, total, and collisions
@@ -61,7 +62,7 @@ contains
 
     now = wall_seconds()
     if (.not. progress_line%speaks .or. now < progress_line%next) return
-    progress_line%next = now + merge(terminal_interval, log_interval, progress_line%terminal)
+    progress_line%next = now + progress_line%interval
     finished_before = progress_line%tasks - task_queue%tasks
     finished = int(read_counter(task_queue, tasks_finished)) + finished_before
     done_before = real(finished_before, dp)/progress_line%tasks

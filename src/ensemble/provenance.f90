@@ -8,47 +8,37 @@ module battery_provenance
   use battery_text, only: new_line_character
   implicit none (type, external)
   private
-  public :: build_attributes, build_value, version_text, command_text
+  public :: attribute_type, build_attributes, version_text, command_text
 
-  !> Names of the attributes that describe the build.
-  character(len=*), parameter :: build_attributes(8) = [character(len=16) :: 'program', 'version', &
-    'git_commit', 'compiler', 'compiler_options', 'mpi_library', 'hdf5_library', 'gsl_library']
+  !> An attribute of a results file.
+  type :: attribute_type
+    character(len=16) :: name = ''
+    character(len=:), allocatable :: text
+  end type attribute_type
 
 contains
 
-  !> Value of the attribute number `k` of `build_attributes`.
-  function build_value(k) result(text)
-    integer, intent(in) :: k
-    character(len=:), allocatable :: text
+  !> The attributes that describe the build.
+  function build_attributes() result(list)
+    type(attribute_type) :: list(8)
 
-    select case (build_attributes(k))
-    case ('program')
-      text = 'battery'
-    case ('version')
-      text = program_version
-    case ('git_commit')
-      text = git_commit()
-    case ('compiler')
-      text = compiler_version()
-    case ('compiler_options')
-      text = compiler_options()
-    case ('mpi_library')
-      text = mpi_library()
-    case ('hdf5_library')
-      text = hdf5_library()
-    case default
-      text = gsl_library()
-    end select
-  end function build_value
+    list = [attribute_type('program', 'battery'), attribute_type('version', program_version), &
+      attribute_type('git_commit', git_commit()), attribute_type('compiler', compiler_version()), &
+      attribute_type('compiler_options', compiler_options()), &
+      attribute_type('mpi_library', mpi_library()), &
+      attribute_type('hdf5_library', hdf5_library()), attribute_type('gsl_library', gsl_library())]
+  end function build_attributes
 
   !> Text of `--version`: name, version and commit, then the attributes of the build, one per line.
   function version_text() result(text)
     character(len=:), allocatable :: text
+    type(attribute_type) :: build(8)
     integer :: k
 
     text = 'battery '//program_version//' (commit '//git_commit()//')'
-    do k = 4, size(build_attributes)
-      text = text//new_line_character//trim(build_attributes(k))//': '//build_value(k)
+    build = build_attributes()
+    do k = 4, size(build)
+      text = text//new_line_character//trim(build(k)%name)//': '//build(k)%text
     end do
     if (git_commit() == 'unknown') return
     text = trim(text//new_line_character//'sources: '//merge('changed since the commit', &

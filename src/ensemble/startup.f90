@@ -10,14 +10,13 @@ module battery_startup
   use battery_journal, only: journal_type, find_journal, task_ids_of, begin_journal, join_journal, &
     states_in, check_journal, remove_journal
   use battery_lock_file, only: lock_type, acquire_lock, release_lock
-  use battery_machine, only: host_name
   use battery_merge, only: collect_results, sources_type, open_sources, close_sources, &
     write_results_of
   use battery_namelist_input, only: differing_keys, parse_namelist
   use battery_plan, only: plan_type
   use battery_plan_remarks, only: remarks_of
   use battery_results, only: results_type, task_complete, point_undecided
-  use battery_process, only: process_number
+  use battery_process, only: process_number, host_name
   use battery_results_file, only: results_file_type, open_results, close_results, accept_results
   use battery_tasks, only: task_type, task_count, task_of, order_tasks, task_index_type, &
     task_index_of, task_number_of
@@ -424,10 +423,13 @@ contains
     type(task_type) :: task
     integer :: k
 
-    ! Without a precision all replicas are needed.
-    yes = task_count(old) <= task_count(plan) .and. plan%first_replicas &
-      >= old%first_replicas .and. (all(is_finer(plan%precision, old%precision)) &
-      .or. .not. any(plan%precision > 0.0_wp))
+    ! Without a precision (0) all replicas are needed; else each error that was required before must
+    ! be required still, and be at most that.
+    associate (now => plan%precision, before => old%precision)
+      yes = task_count(old) <= task_count(plan) .and. plan%first_replicas >= old%first_replicas &
+        .and. (all(.not. before > 0.0_wp .or. (now > 0.0_wp .and. now <= before)) &
+        .or. .not. any(now > 0.0_wp))
+    end associate
     if (.not. yes) return
     task_index = task_index_of(plan)
     do k = 1, task_count(old)
@@ -436,12 +438,5 @@ contains
       if (.not. yes) return
     end do
   end function has_all_of
-
-  !> Whether a required error is at most the one required before; 0: none is required.
-  elemental logical function is_finer(precision, before) result(yes)
-    real(wp), intent(in) :: precision, before
-
-    yes = .not. before > 0.0_wp .or. (precision > 0.0_wp .and. precision <= before)
-  end function is_finer
 
 end module battery_startup

@@ -5,7 +5,7 @@ module battery_task_result
   use battery_task_output, only: task_output_type, serialize_output, series, snapshots, final, &
     events
   use battery_engine, only: particles_type
-  use battery_machine, only: machine_text
+  use battery_process, only: machine_text
   use battery_observer, only: get_measured
   use battery_quantities, only: measured_type, new_measured, set_average, set_count, &
     unknown_real, fingerprint_of_quantities

@@ -16,7 +16,7 @@ module battery_tasks
   implicit none (type, external)
   private
   public :: task_type, task_count, task_of, order_tasks, initial_particles
-  public :: task_index_type, task_index_of, task_number_of, task_id_in_results
+  public :: task_index_type, task_index_of, task_number_of
 
   !> One task: a replica of a point of the scan.
   type :: task_type
@@ -64,16 +64,6 @@ contains
     task%setup = setup_of(plan, task%point, task%replica)
     task%task_id = task_id_with(task%setup%seed, task%setup, task%final_state)
   end function task_of
-
-  !> `task_id` of a task, reconstructed from the seed in a results file and the plan it was made
-  !> from.
-  integer(int64) function task_id_in_results(plan, seed) result(task_id)
-    type(plan_type), intent(in) :: plan
-    !> Seed in the results file.
-    integer(int64), intent(in) :: seed
-
-    task_id = task_id_with(seed, plan, plan%final_state)
-  end function task_id_in_results
 
   !> Makes the index of all tasks of a plan.
   function task_index_of(plan) result(task_index)
@@ -156,9 +146,7 @@ contains
 
     count = size(tasks)
     bits = bit_size(bits) - leadz(plan%point_count)
-    do k = 1, size(tasks)
-      cost(k) = real(cost_of(plan, tasks(k)), dp)
-    end do
+    cost = [(real(cost_of(plan, tasks(k)), dp), k=1, size(tasks))]
     longest = maxval(cost)
     do k = 1, size(tasks)
       associate (point => (tasks(k) - 1)/plan%replicas, replica => mod(tasks(k) - 1, &

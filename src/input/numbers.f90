@@ -55,7 +55,7 @@ contains
     first = 1 + sign_length(text)
     mark = scan(text, 'eEdD')
     last = merge(mark - 1, len(text), mark > 0)
-    if (is_endless(text(first:))) then
+    if (any(lower_case(text(first:min(first + 2, len(text)))) == ['inf', 'nan'])) then
       wrong = 'is not finite'
     else if (.not. is_mantissa(text(first:last))) then
       wrong = 'is not a number'
@@ -84,15 +84,6 @@ contains
     length = 0
     if (len(text) > 0) length = merge(1, 0, scan(text(1:1), '+-') == 1)
   end function sign_length
-
-  !> Whether a text stands for infinity or NaN.
-  pure logical function is_endless(text) result(yes)
-    character(len=*), intent(in) :: text
-    character(len=3) :: word
-
-    word = lower_case(text(:min(len(text), 3)))
-    yes = word == 'nan' .or. word == 'inf'
-  end function is_endless
 
   !> Whether a text consists of digits and at most one point.
   pure logical function is_mantissa(text) result(yes)

@@ -8,9 +8,9 @@ module battery_c_shapes
   implicit none (type, external)
   private
   public :: action, action_on_address
-  public :: returns_number, number_of_address, number_of_path, number_of_paths
+  public :: returns_number, number_of_path, number_of_paths
   public :: number_of_text, number_of_path_and_text, size_of_address
-  public :: returns_address, address_of_path, address_of_number
+  public :: returns_address, address_of_number
 
   abstract interface
     !> No argument, no result.
@@ -30,13 +30,6 @@ module battery_c_shapes
       import :: c_int
       implicit none (type, external)
     end function returns_number
-
-    !> Returns an integer for the object at an address.
-    integer(c_int) function number_of_address(address) bind(c)
-      import :: c_int, c_ptr
-      implicit none (type, external)
-      type(c_ptr), value, intent(in) :: address
-    end function number_of_address
 
     !> Returns an integer for a path.
     integer(c_int) function number_of_path(path) bind(c)
@@ -81,13 +74,6 @@ module battery_c_shapes
       import :: c_ptr
       implicit none (type, external)
     end function returns_address
-
-    !> Returns the address of an object for a path.
-    type(c_ptr) function address_of_path(path) bind(c)
-      import :: c_char, c_ptr
-      implicit none (type, external)
-      character(kind=c_char), intent(in) :: path(*)
-    end function address_of_path
 
     !> Returns an address for an integer, which is passed by reference.
     type(c_ptr) function address_of_number(number) bind(c)

@@ -5,12 +5,12 @@ module battery_file_text
   use battery_c_shapes, only: number_of_path
   use battery_kinds, only: int64
   use battery_error, only: error_type, fatal_error, exit_stopped_early
-  use battery_paths, only: is_file, is_folder, is_pipe_or_device, system_message, set_system_error
+  use battery_paths, only: is_folder, is_pipe_or_device, system_message, set_system_error
   use battery_signals, only: stop_requested
   use battery_text, only: to_text
   implicit none (type, external)
   private
-  public :: read_file, read_input, write_file, close_written, is_standard_output
+  public :: read_file, read_input, write_file, is_standard_output
 
   !> Results of `c_read_some` that are no number of bytes: end of the file, nothing to read yet.
   integer(int64), parameter :: at_end = 0, not_yet = -2
@@ -27,7 +27,7 @@ module battery_file_text
       integer(c_size_t), value, intent(in) :: length
     end function c_write_file
 
-    integer(c_int) function c_close(descriptor) bind(c, name='battery_close')
+    integer(c_int) function c_close(descriptor) bind(c, name='close')
       import :: c_int
       implicit none (type, external)
       integer(c_int), value, intent(in) :: descriptor
@@ -129,25 +129,6 @@ contains
     call set_system_error(c_write_file(path//c_null_char, text, len(text, c_size_t)), &
       path//': cannot be written', error)
   end subroutine write_file
-
-  !> Closes a file that Fortran has written as a stream, and checks that all bytes arrived. What a
-  !> pipe or a device has taken is not known.
-  subroutine close_written(unit, path, error)
-    !> Unit of the file, at its end.
-    integer, intent(in) :: unit
-    !> Path of the file.
-    character(len=*), intent(in) :: path
-    !> The file is shorter than what was written.
-    type(error_type), allocatable, intent(out) :: error
-    integer(int64) :: next, bytes
-    integer :: status
-
-    inquire (unit=unit, pos=next)
-    close (unit, iostat=status)
-    inquire (file=path, size=bytes)
-    if (is_file(path) .and. (status /= 0 .or. bytes /= next - 1)) call fatal_error(error, path &
-      //': only '//to_text(bytes)//' of '//to_text(next - 1)//' bytes are there: is the disk full?')
-  end subroutine close_written
 
   !> Whether a path names standard output, such as `/dev/stdout` or the file it is redirected to.
   logical function is_standard_output(path) result(yes)

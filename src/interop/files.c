@@ -197,8 +197,6 @@ int64_t battery_read_some(int descriptor, char *bytes, int64_t capacity) {
   return length;
 }
 
-int battery_close(int descriptor) { return close(descriptor); }
-
 /* Whether a path names standard output, such as /dev/stdout or the file that it is redirected to. */
 int battery_is_standard_output(const char *path) {
   struct stat found, output;
@@ -207,25 +205,30 @@ int battery_is_standard_output(const char *path) {
     && found.st_dev == output.st_dev && found.st_ino == output.st_ino && access_mode != O_RDONLY;
 }
 
+/* Writes all bytes to an open file, a pipe or a terminal, and waits while it takes none. */
+int battery_write_all(int descriptor, const char *bytes, size_t length) {
+  while (length > 0) {
+    ssize_t written = write(descriptor, bytes, length);
+    if (written >= 0) {
+      bytes += written;
+      length -= (size_t)written;
+    } else if (errno == EAGAIN) {
+      struct pollfd ready = {.fd = descriptor, .events = POLLOUT};
+      poll(&ready, 1, -1);
+    } else if (errno != EINTR) {
+      return errno;
+    }
+  }
+  return 0;
+}
+
 /* Writes a whole file, which is emptied first unless it is standard output, to which is appended. */
 int battery_write_file(const char *path, const char *bytes, size_t length) {
   int shared = battery_is_standard_output(path);
   int descriptor = shared ? STDOUT_FILENO
     : open(path, O_WRONLY | O_CREAT | O_TRUNC | O_NOCTTY | O_CLOEXEC, 0666);
   if (descriptor < 0) return errno;
-  int status = 0;
-  while (length > 0 && status == 0) {
-    ssize_t written = write(descriptor, bytes, length);
-    if (written < 0 && errno == EAGAIN) {
-      struct pollfd ready = {.fd = descriptor, .events = POLLOUT};
-      poll(&ready, 1, -1);
-    } else if (written < 0 && errno != EINTR) {
-      status = errno;
-    } else if (written > 0) {
-      bytes += written;
-      length -= (size_t)written;
-    }
-  }
+  int status = battery_write_all(descriptor, bytes, length);
   return shared || close(descriptor) == 0 || status != 0 ? status : errno;
 }
 
@@ -271,11 +274,14 @@ int battery_write_parts(const char *path, int64_t at, const CFI_cdesc_t *first, 
   return close(descriptor) == 0 || status != 0 ? status : errno;
 }
 
-/* The next name in an open folder that matches a pattern of a shell; NULL at the end. */
-const char *battery_next_like(DIR *folder, const char *pattern) {
-  for (;;) {
-    struct dirent *entry = readdir(folder);
-    if (entry == NULL) return NULL;
+/* The next name in a folder that matches a pattern of a shell; NULL at the end, or if there is no such
+   folder. `*folder` is NULL at first: the folder is opened then, and closed at the end. */
+const char *battery_next_like(DIR **folder, const char *path, const char *pattern) {
+  if (*folder == NULL) *folder = opendir(path);
+  if (*folder == NULL) return NULL;
+  struct dirent *entry;
+  while ((entry = readdir(*folder)) != NULL)
     if (fnmatch(pattern, entry->d_name, FNM_PERIOD | FNM_NOESCAPE | FNM_EXTMATCH) == 0) return entry->d_name;
-  }
+  closedir(*folder);
+  return NULL;
 }

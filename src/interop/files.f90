@@ -1,17 +1,17 @@
 !> Operations on files that Fortran lacks: sync, atomic rename, removal, permissions, folders and
 !> their contents.
 module battery_files
-  use, intrinsic :: iso_c_binding, only: c_char, c_int, c_int64_t, c_ptr, c_null_char, c_associated
+  use, intrinsic :: iso_c_binding, only: c_char, c_int, c_int64_t, c_ptr, c_null_char, c_null_ptr, &
+    c_associated
   use battery_error, only: error_type, fatal_error, exit_failure, exit_bad_input
-  use battery_c_shapes, only: returns_number, number_of_path, number_of_paths, number_of_address, &
-    address_of_path
+  use battery_c_shapes, only: returns_number, number_of_path, number_of_paths
   use battery_paths, only: is_folder, folder_of, system_message, set_system_error, c_text_at
   use battery_text, only: string_type
   implicit none (type, external)
   private
   public :: file_exists, is_readable, is_writable, is_locked, is_disk_error, files_matching
   public :: may_open
-  public :: sync_file, rename_file, remove_file, make_folder, publish_file, write_parts
+  public :: sync_file, remove_file, make_folder, publish_file, write_parts
   public :: file_stamp_type, file_stamp_at, has_stamp, publish_unless_replaced
 
   !> Stamp of the file that a name referred to at one time; initially: no file.
@@ -29,15 +29,13 @@ module battery_files
   procedure(number_of_path), bind(c, name='battery_sync') :: c_sync
   procedure(number_of_paths), bind(c, name='rename') :: c_rename
   procedure(returns_number), bind(c, name='battery_is_disk_error') :: c_is_disk_error
-  procedure(address_of_path), bind(c, name='opendir') :: c_opendir
-  procedure(number_of_address), bind(c, name='closedir') :: c_closedir
 
   interface
-    type(c_ptr) function c_next_like(folder, pattern) bind(c, name='battery_next_like')
+    type(c_ptr) function c_next_like(folder, path, pattern) bind(c, name='battery_next_like')
       import :: c_char, c_ptr
       implicit none (type, external)
-      type(c_ptr), value, intent(in) :: folder
-      character(kind=c_char), intent(in) :: pattern(*)
+      type(c_ptr), intent(inout) :: folder
+      character(kind=c_char), intent(in) :: path(*), pattern(*)
     end function c_next_like
 
     !> Whether this process may have so many files open at the same time; its limit is raised if
@@ -117,18 +115,8 @@ contains
     call set_system_error(c_sync(path//c_null_char), path//': cannot be written to the disk', error)
   end subroutine sync_file
 
-  !> Renames a file atomically; a file that had the new name is replaced.
-  subroutine rename_file(old, new, error)
-    !> Old and new path, on one file system.
-    character(len=*), intent(in) :: old, new
-    type(error_type), allocatable, intent(out) :: error
-
-    if (c_rename(old//c_null_char, new//c_null_char) /= 0) &
-      call fatal_error(error, old//': cannot be renamed to '//new//': '//system_message())
-  end subroutine rename_file
-
-  !> Puts a finished temporary file under its final name, so that after a crash there is either the
-  !> old file or the new one, whole.
+  !> Puts a finished temporary file under its final name, at once and in place of a file that had
+  !> it, so that after a crash there is either the old file or the new one, whole.
   subroutine publish_file(temporary, final, error)
     !> Paths of the two files, in one folder.
     character(len=*), intent(in) :: temporary, final
@@ -136,9 +124,11 @@ contains
 
     call sync_file(temporary, error)
     if (allocated(error)) return
-    call rename_file(temporary, final, error)
-    if (allocated(error)) return
-    call sync_file(folder_of(final), error)
+    if (c_rename(temporary//c_null_char, final//c_null_char) == 0) then
+      call sync_file(folder_of(final), error)
+    else
+      call fatal_error(error, temporary//': cannot be renamed to '//final//': '//system_message())
+    end if
   end subroutine publish_file
 
   !> Stamp of the file that a name refers to now, to detect later that it was replaced.
@@ -243,26 +233,22 @@ contains
     type(string_type), allocatable :: names(:)
     type(string_type), allocatable :: more(:)
     type(c_ptr) :: open_folder, name
-    integer :: status
     integer :: found
 
     allocate (names(16))
     found = 0
-    open_folder = c_opendir(folder//c_null_char)
-    if (c_associated(open_folder)) then
-      do
-        name = c_next_like(open_folder, pattern//c_null_char)
-        if (.not. c_associated(name)) exit
-        if (found == size(names)) then
-          allocate (more(2*found))
-          more(:found) = names
-          call move_alloc(more, names)
-        end if
-        found = found + 1
-        names(found)%text = c_text_at(name)
-      end do
-      status = c_closedir(open_folder)
-    end if
+    open_folder = c_null_ptr
+    do
+      name = c_next_like(open_folder, folder//c_null_char, pattern//c_null_char)
+      if (.not. c_associated(name)) exit
+      if (found == size(names)) then
+        allocate (more(2*found))
+        more(:found) = names
+        call move_alloc(more, names)
+      end if
+      found = found + 1
+      names(found)%text = c_text_at(name)
+    end do
     names = names(:found)
   end function files_matching
 

@@ -7,7 +7,6 @@
 #include <limits.h>
 #include <stdint.h>
 #include <stdio.h>
-#include <stdlib.h>
 #include <string.h>
 #include <sys/stat.h>
 #include <unistd.h>
@@ -17,11 +16,6 @@ enum { taken = 0, held = 1, unknown = 2, again = 3, failed = 4, not_a_file = 5 }
 enum { locked, locked_by_another, no_locks };
 
 int battery_write_at(int descriptor, const char *bytes, size_t length, int64_t at);
-
-typedef struct {
-  int descriptor;
-  char path[PATH_MAX];
-} owner_type;
 
 /* Whether a path still names the open file. */
 static int names(const char *path, int descriptor) {
@@ -145,33 +139,24 @@ static int create_and_write(const char *path, const char *text) {
   return -1;
 }
 
-/* Tries to own the file `path`, whose text is then `text` ("host process time"). If it belongs, or may
-   belong, to another run, `holder` (`capacity` bytes) is its text. If it belonged to an ended run of this
-   machine, it is removed, `holder` is the text that it had, and the outcome is `again`. */
-int battery_own(const char *path, const char *text, char *holder, int capacity, owner_type **result) {
+/* Tries to own the file `path`, whose text is then `text` ("host process time"); it stays open and locked,
+   with this `descriptor`. If it belongs, or may belong, to another run, `holder` (`capacity` bytes) is its
+   text. If it belonged to an ended run of this machine, it is removed, `holder` is the text that it had, and
+   the outcome is `again`. */
+int battery_own(const char *path, const char *text, char *holder, int capacity, int *descriptor) {
   int outcome = remove_of_ended(path, text, holder, capacity);
   if (outcome != taken) return outcome;
   if (holder[0] != '\0') return again;
-  owner_type *owner = calloc(1, sizeof *owner);
-  if (owner == NULL) return failed;
-  strncpy(owner->path, path, sizeof owner->path - 1);
-  owner->descriptor = create_at_once(path, text);
-  if (owner->descriptor < 0 && errno != EEXIST) owner->descriptor = create_and_write(path, text);
-  if (owner->descriptor >= 0) {
-    *result = owner;
-    return taken;
-  }
-  int status = errno;
-  free(owner);
-  errno = status;
-  return status == EEXIST ? again : failed;
+  *descriptor = create_at_once(path, text);
+  if (*descriptor < 0 && errno != EEXIST) *descriptor = create_and_write(path, text);
+  if (*descriptor >= 0) return taken;
+  return errno == EEXIST ? again : failed;
 }
 
 /* Removes the file, if it is still that of the owner, and releases the lock. */
-void battery_disown(owner_type *owner) {
-  if (names(owner->path, owner->descriptor)) unlink(owner->path);
-  close(owner->descriptor);
-  free(owner);
+void battery_disown(const char *path, int descriptor) {
+  if (names(path, descriptor)) unlink(path);
+  close(descriptor);
 }
 
 /* Name of this machine, without blanks, and its length; `name` has `capacity` bytes. */

@@ -14,16 +14,15 @@
 !> - the ranks of two launches of the program never write to the same rank file;
 !> - files are replaced, not overwritten.
 module battery_lock_file
-  use, intrinsic :: iso_c_binding, only: c_int, c_char, c_ptr, c_null_char, c_null_ptr, c_associated
-  use battery_c_shapes, only: action_on_address, number_of_path_and_text
+  use, intrinsic :: iso_c_binding, only: c_int, c_char, c_null_char
+  use battery_c_shapes, only: number_of_path_and_text
   use battery_kinds, only: dp
   use battery_error, only: error_type, fatal_error, exit_bad_input, exit_failure, exit_stopped_early
   use battery_files, only: is_disk_error, file_stamp_type, file_stamp_at, files_matching
   use battery_paths, only: system_message, folder_of
   use battery_clocks, only: wall_seconds, sleep_for
   use battery_signals, only: stop_requested
-  use battery_machine, only: host_name
-  use battery_process, only: process_number
+  use battery_process, only: process_number, host_name
   use battery_text, only: string_type, to_text
   implicit none (type, external)
   private
@@ -48,22 +47,29 @@ module battery_lock_file
     character(len=:), allocatable :: path, text
     !> Stamp of the output file when the lock was acquired, on rank 0 alone.
     type(file_stamp_type) :: before
-    !> The open lock file, on rank 0 alone.
-    type(c_ptr), private :: handle = c_null_ptr
+    !> Descriptor of the open lock file, on rank 0 alone; below 0: it is not open.
+    integer(c_int), private :: descriptor = -1
   end type lock_type
 
-  procedure(action_on_address), bind(c, name='battery_disown') :: c_disown
   procedure(number_of_path_and_text), bind(c, name='battery_read_owner') :: c_read_owner
 
   interface
-    integer(c_int) function c_own(path, text, holder, capacity, owner) bind(c, name='battery_own')
-      import :: c_char, c_int, c_ptr
+    integer(c_int) function c_own(path, text, holder, capacity, descriptor) &
+        bind(c, name='battery_own')
+      import :: c_char, c_int
       implicit none (type, external)
       character(kind=c_char), intent(in) :: path(*), text(*)
       integer(c_int), value, intent(in) :: capacity
       character(kind=c_char), intent(inout) :: holder(capacity)
-      type(c_ptr), intent(inout) :: owner
+      integer(c_int), intent(inout) :: descriptor
     end function c_own
+
+    subroutine c_disown(path, descriptor) bind(c, name='battery_disown')
+      import :: c_char, c_int
+      implicit none (type, external)
+      character(kind=c_char), intent(in) :: path(*)
+      integer(c_int), value, intent(in) :: descriptor
+    end subroutine c_disown
   end interface
 
 contains
@@ -97,7 +103,7 @@ contains
     if (present(text)) lock%text = text
     do
       outcome = c_own(lock%path//c_null_char, lock%text//c_null_char, holder, &
-        longest_text, lock%handle)
+        longest_text, lock%descriptor)
       select case (outcome)
       case (taken)
         ! sshfs remembers what a file was for 20 s, and asks anew where the folder has changed: the
@@ -144,8 +150,8 @@ contains
   subroutine release_lock(lock)
     type(lock_type), intent(inout) :: lock
 
-    if (c_associated(lock%handle)) call c_disown(lock%handle)
-    lock%handle = c_null_ptr
+    if (lock%descriptor >= 0) call c_disown(lock%path//c_null_char, lock%descriptor)
+    lock%descriptor = -1
   end subroutine release_lock
 
   !> Whether another run owns the output now, so that nothing may be written any more. If the lock

@@ -1,10 +1,10 @@
-!> This process: its number, and its end.
+!> This process, the machine that it runs on, and what the system's files say of both.
 module battery_process
   use, intrinsic :: iso_c_binding, only: c_int
-  use battery_c_shapes, only: returns_number
+  use battery_c_shapes, only: returns_number, number_of_text
   implicit none (type, external)
   private
-  public :: exit_process, exit_after, process_number
+  public :: exit_process, exit_after, process_number, host_name, machine_text, text_after
 
   interface
     !> Ends the program, without the message `STOP` of Fortran.
@@ -28,5 +28,57 @@ module battery_process
 
   !> Process identifier of this process.
   procedure(returns_number), bind(c, name='getpid') :: process_number
+
+  procedure(number_of_text), bind(c, name='battery_host_name') :: c_host_name
+
+contains
+
+  !> Name of this machine, without blanks.
+  function host_name() result(name)
+    character(len=:), allocatable :: name
+    character(len=128) :: text
+    integer(c_int) :: length
+
+    length = c_host_name(text, len(text, c_int))
+    name = text(:length)
+  end function host_name
+
+  !> Name of this machine and model of its processor, `name (model)`; determined once.
+  function machine_text() result(name)
+    character(len=:), allocatable :: name
+    character(len=:), allocatable, save :: known
+    character(len=:), allocatable :: model
+
+    if (.not. allocated(known)) then
+      model = text_after('/proc/cpuinfo', 'model name')
+      known = host_name()//' ('//model(index(model, ': ') + 2:)//')'
+    end if
+    name = known
+  end function machine_text
+
+  !> Rest of the first line of a file in which a name begins the line or follows a colon, such as
+  !> `  123 kB` after `MemAvailable:`; empty if there is none, or no such file.
+  function text_after(file, name) result(text)
+    !> File of the system, such as `/proc/meminfo`; only the first 1024 bytes of a line are read.
+    character(len=*), intent(in) :: file
+    !> Text before what is returned.
+    character(len=*), intent(in) :: name
+    character(len=:), allocatable :: text
+    character(len=1024) :: line
+    integer :: unit, status, at
+
+    text = ''
+    open (newunit=unit, file=file, action='read', status='old', iostat=status)
+    if (status /= 0) return
+    do
+      read (unit, '(a)', iostat=status) line
+      if (status /= 0) exit
+      at = index(':'//line, ':'//name)
+      if (at == 0) cycle
+      text = trim(line(at + len(name):))
+      exit
+    end do
+    close (unit)
+  end function text_after
 
 end module battery_process

@@ -9,6 +9,9 @@ module battery_terminal
   public :: guard_streams, print_line, print_text, print_error, all_was_printed, is_terminal, &
     parent_is_terminal
 
+  !> Descriptors of standard output and standard error.
+  integer(c_int), parameter :: output = 1, errors = 2
+
   !> False after a failed write to standard output.
   logical :: printed = .true.
 
@@ -19,13 +22,14 @@ module battery_terminal
   procedure(returns_number), bind(c) :: terminal_output, terminal_parent_output
 
   interface
-    integer(c_int) function terminal_write(to_errors, text, length) bind(c)
+    !> Writes without a buffer, so that failed writes are known; returns 0 or an error number.
+    integer(c_int) function c_write(stream, text, length) bind(c, name='battery_write_all')
       import :: c_int, c_char, c_size_t
       implicit none (type, external)
-      integer(c_int), value, intent(in) :: to_errors
+      integer(c_int), value, intent(in) :: stream
       character(kind=c_char), intent(in) :: text(*)
       integer(c_size_t), value, intent(in) :: length
-    end function terminal_write
+    end function c_write
   end interface
 
 contains
@@ -44,7 +48,7 @@ contains
     character(len=*), intent(in) :: text
 
     ! After a failure nothing more is written: a text with a gap could be misread.
-    if (printed) printed = terminal_write(0_c_int, text, len(text, c_size_t)) == 0
+    if (printed) printed = c_write(output, text, len(text, c_size_t)) == 0
   end subroutine print_text
 
   !> Prints one or several lines on standard error; a failed write is ignored.
@@ -55,7 +59,7 @@ contains
     integer :: status
 
     line = printable(text)//new_line('a')
-    status = terminal_write(1_c_int, line, len(line, c_size_t))
+    status = c_write(errors, line, len(line, c_size_t))
   end subroutine print_error
 
   !> Whether all writes so far have succeeded.
@@ -70,15 +74,11 @@ contains
     is_terminal = terminal_output() == 1
   end function is_terminal
 
-  !> Whether the standard output of the parent process is a terminal; `unknown` if this cannot be
+  !> Whether the standard output of the parent process is a terminal; true if this cannot be
   !> determined.
-  logical function parent_is_terminal(unknown)
-    logical, intent(in) :: unknown
-    integer :: answer
+  logical function parent_is_terminal()
 
-    answer = terminal_parent_output()
-    parent_is_terminal = answer == 1
-    if (answer < 0) parent_is_terminal = unknown
+    parent_is_terminal = terminal_parent_output() == 1
   end function parent_is_terminal
 
 end module battery_terminal

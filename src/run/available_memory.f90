@@ -7,7 +7,7 @@
 module battery_available_memory
   use battery_kinds, only: dp
   use battery_error, only: error_type, fatal_error
-  use battery_machine, only: text_after
+  use battery_process, only: text_after
   use battery_text, only: to_text
   implicit none (type, external)
   private

@@ -8,6 +8,7 @@ module battery_command_line
   implicit none (type, external)
   private
   public :: command_line_type, command_line_words, parse_arguments, usage_text
+  public :: check, overwrite, quiet, accept, partial, self_test, version
 
   !> First line of the help.
   character(len=*), parameter :: usage_line = &
@@ -15,8 +16,13 @@ module battery_command_line
     'battery --accept FILE.nml, battery --partial FILE.nml, battery --help, battery --schema, '// &
     'battery --self-test, battery --version'
 
+  !> All options, and their places in the list. Only check the input and show the plan; discard
+  !> existing results; print errors only. In place of a run: accept results that another program has
+  !> changed; write what is finished of a run; test the installation; print something.
   character(len=11), parameter :: options(10) = [character(len=11) :: '--check', '--overwrite', &
     '--quiet', '--json', '--accept', '--partial', '--help', '--schema', '--self-test', '--version']
+  integer, parameter :: check = 1, overwrite = 2, quiet = 3, accept = 5, partial = 6, help = 7, &
+    schema = 8, self_test = 9, version = 10
 
   !> Ways to stop a run without loss: Open MPI kills ranks that take longer than a second (version
   !> 5: a quarter of a second) to save their states.
@@ -34,20 +40,8 @@ module battery_command_line
     character(len=:), allocatable :: json
     !> What is printed instead of a run: help or schema; empty if neither.
     character(len=:), allocatable :: text_to_print
-    !> Print the version instead of a run.
-    logical :: version = .false.
-    !> Test the installation instead of a run.
-    logical :: self_test = .false.
-    !> Only check the input and show the plan.
-    logical :: check = .false.
-    !> Discard existing results.
-    logical :: overwrite = .false.
-    !> Accept results that another program has changed, instead of a run.
-    logical :: accept = .false.
-    !> Write what is finished of a run, instead of a run.
-    logical :: partial = .false.
-    !> Print errors only.
-    logical :: quiet = .false.
+    !> Whether each option is given, besides `--json`.
+    logical :: has(size(options)) = .false.
   end type command_line_type
 
 contains
@@ -104,16 +98,17 @@ contains
       end if
     end do
     if (json_next) call add(problems, nameless)
-    if (command%text_to_print == '' .and. .not. (command%version .or. command%self_test) .and. &
-      command%file == '' .and. problems == '') call add(problems, 'the namelist file is missing')
+    if (.not. any(command%has([help, schema, self_test, version])) .and. command%file == '' .and. &
+      problems == '') call add(problems, 'the namelist file is missing')
     if (command%text_to_print /= '' .and. command%file /= '' .and. is_one_of('--schema', words)) &
       call add(problems, command%file//': --schema takes no file; it is the same for all')
-    if (command%self_test .and. command%file /= '') &
+    if (command%has(self_test) .and. command%file /= '') &
       call add(problems, command%file//': --self-test takes no file')
-    if ((command%accept .or. command%partial) .and. (command%check .or. command%overwrite .or. &
-      command%json /= '' .or. (command%accept .and. command%partial))) call add(problems, &
-      trim(merge('--accept ', '--partial', command%accept))//': cannot be given with --check, ' &
-      //'--overwrite, --json or '//trim(merge('--partial', '--accept ', command%accept)))
+    if (any(command%has([accept, partial])) .and. (any(command%has([check, overwrite])) .or. &
+      command%json /= '' .or. all(command%has([accept, partial])))) call add(problems, &
+      trim(merge('--accept ', '--partial', command%has(accept)))//': cannot be given with ' &
+      //'--check, --overwrite, --json or ' &
+      //trim(merge('--partial', '--accept ', command%has(accept))))
     if (problems /= '') call fatal_error(error, problems//new_line_character//usage_line, &
       exit_bad_input)
   end subroutine parse_arguments
@@ -124,32 +119,20 @@ contains
     type(command_line_type), intent(inout) :: command
     character(len=:), allocatable, intent(inout) :: problems
     character(len=:), allocatable :: meant
+    integer :: option
 
-    select case (word)
-    case ('--check')
-      command%check = .true.
-    case ('--overwrite')
-      command%overwrite = .true.
-    case ('--accept')
-      command%accept = .true.
-    case ('--partial')
-      command%partial = .true.
-    case ('--quiet')
-      command%quiet = .true.
-    case ('--help', '-h')
-      command%text_to_print = usage_text()
-    case ('--version')
-      command%version = .true.
-    case ('--schema')
-      command%text_to_print = schema_text(all_keys())
-    case ('--self-test')
-      command%self_test = .true.
-    case default
+    option = findloc(options == word, .true., dim=1)
+    if (word == '-h') option = help
+    if (option > 0) then
+      command%has(option) = .true.
+      if (option == help) command%text_to_print = usage_text()
+      if (option == schema) command%text_to_print = schema_text(all_keys())
+    else
       meant = closest_word(word, distinct_names(options))
       if (meant /= '') meant = ' (did you mean '//meant//'?)'
       call add(problems, word//': there is no such option'//meant//'; allowed: ' &
         //join(distinct_names(options), ', '))
-    end select
+    end if
   end subroutine read_option
 
   !> Adds a line to a list of problems.

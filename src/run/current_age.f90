@@ -65,33 +65,28 @@ contains
   function current_remark(plan) result(text)
     type(plan_type), intent(in) :: plan
     character(len=:), allocatable :: text
-    type(circulation_type) :: here, worst
-    type(point_type) :: point
-    real(dp) :: lacks, most, transient, ages(2), times
-    integer :: at, worst_at
+    real(dp), allocatable :: lacks(:)
+    real(dp) :: most, transient, ages(2), times
+    character(len=16) :: percent
+    integer :: step, worst, at
 
     text = ''
     if (plan%shape == 'urn' .or. plan%urn_shape == 'polygon' .or. size(plan%scatterers) > 0 &
       .or. plan%initial_file /= '') return
     if (.not. any(exact_engines == plan%engine)) return
-    most = 0.0_dp
-    worst_at = 0
-    do at = 1, plan%point_count, 1 + (plan%point_count - 1)/most_points
-      point = point_of(plan, at)
-      here = circulation_at(point)
-      lacks = lacking_share(here, ages_measured(plan, point))
-      if (lacks <= most) cycle
-      most = lacks
-      worst = here
-      worst_at = at
-    end do
+    step = 1 + (plan%point_count - 1)/most_points
+    lacks = [(lacking_share(circulation_at(point_of(plan, at)), ages_measured(plan, point_of(plan, &
+      at))), at=1, plan%point_count, step)]
+    most = maxval(lacks)
     if (most <= allowed*tolerance) return
-    transient = transient_for(worst, allowed*tolerance)
-    text = 'currents lack about '//percent_text(most)//' %'
-    if (point_text(plan, worst_at, '') /= '') text = text//', most at '//point_text(plan, &
-      worst_at, '')
+    worst = 1 + step*(maxloc(lacks, dim=1) - 1)
+    ! Two decimals below 1 %, else one.
+    write (percent, merge('(f4.2)', '(f0.1)', 100.0_dp*most < 0.995_dp)) 100.0_dp*most
+    text = 'currents lack about '//trim(percent)//' %'
+    if (point_text(plan, worst, '') /= '') text = text//', most at '//point_text(plan, worst, '')
     text = text//': circulations still build up'
-    ages = ages_measured(plan, point_of(plan, worst_at))
+    transient = transient_for(circulation_at(point_of(plan, worst)), allowed*tolerance)
+    ages = ages_measured(plan, point_of(plan, worst))
     times = (1.0_dp + measured)*transient/max(ages(2), tiny(1.0_dp))
     if (times > most_times) then
       text = text//', and a run that is old enough would cost more than ' &
@@ -235,16 +230,5 @@ contains
       power = power + 1
     end do
   end function transient_for
-
-  !> A fraction as text in per cent, with two decimals below 1, else with one: `0.31`, `1.2`,
-  !> `12.3`.
-  pure function percent_text(part) result(text)
-    real(dp), intent(in) :: part
-    character(len=:), allocatable :: text
-    character(len=16) :: buffer
-
-    write (buffer, merge('(f4.2)', '(f0.1)', 100.0_dp*part < 0.995_dp)) 100.0_dp*part
-    text = trim(buffer)
-  end function percent_text
 
 end module battery_current_age

@@ -2,7 +2,6 @@
 module battery_initial_state
   use battery_kinds, only: wp, int64, pi
   use battery_error, only: error_type, fatal_error, exit_bad_input
-  use battery_file_text, only: read_file
   use battery_foreign_bytes, only: text_start, foreign_byte_text
   use battery_numbers, only: read_decimal
   use battery_findings, only: findings_type, finding_of, add_finding, findings_text, &
@@ -15,7 +14,7 @@ module battery_initial_state
   use battery_gsl, only: generator_type, new_generator, free_generator, uniform
   implicit none (type, external)
   private
-  public :: random_particles, read_particles, parse_particles, are_inside
+  public :: random_particles, parse_particles, are_inside
 
   !> Characters that separate the numbers of a line, besides commas.
   character(len=*), parameter :: blanks = ' '//achar(9)
@@ -90,24 +89,6 @@ contains
       if (inside) exit
     end do
   end subroutine place_in_urn
-
-  !> Reads `number` particles from a file with `parse_particles`.
-  subroutine read_particles(file, table, number, particles, error)
-    !> Path of the file.
-    character(len=*), intent(in) :: file
-    type(table_type), intent(in) :: table
-    integer, intent(in) :: number
-    type(particles_type), intent(out) :: particles
-    type(error_type), allocatable, intent(out) :: error
-    character(len=:), allocatable :: text
-
-    call read_file(file, text, error)
-    if (allocated(error)) then
-      error%code = exit_bad_input
-    else
-      call parse_particles(text, file, table, number, particles, error)
-    end if
-  end subroutine read_particles
 
   !> Parses `number` particles from a text with a line `x y ux uy` for each; velocities are
   !> normalised to speed 1. Empty lines and lines that begin with # are ignored. All problems are

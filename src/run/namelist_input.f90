@@ -3,7 +3,7 @@
 module battery_namelist_input
   use battery_kinds, only: wp
   use battery_error, only: error_type, fatal_error, exit_bad_input
-  use battery_text, only: to_text, new_line_character
+  use battery_text, only: to_text, numbers_text, new_line_character
   use battery_foreign_bytes, only: namelist_problem, is_results_file
   use battery_findings, only: finding_type, finding_of, add_finding, findings_text, &
     displayable_text, of_missing
@@ -223,7 +223,7 @@ contains
           call refuse_value(plan, trim(range%key%name), to_text(maxval(values)), &
             'numbers up to '//to_text(list%key%greatest))
         else if (allowed /= '') then
-          call refuse_value(plan, trim(range%key%name), range_text(range%reals), allowed)
+          call refuse_value(plan, trim(range%key%name), numbers_text(range%reals, ', '), allowed)
           ! The key is scanned all the same, and not missing.
           values = values(:1)
           return
@@ -276,18 +276,11 @@ contains
       place = findloc(abs(modulo(last - first, near)) <= 0.0_wp, .true., dim=1)
       if (place > 0) exit
     end do
-    text = 'whole numbers in whole steps, such as '//range_text([first, last, near(place) + 1.0_wp])
-    if (apart > 0 .and. steps <= abs(last - first)) text = text//' or '//range_text([first, first &
-      + anint((last - first)/steps)*steps, range(3)])
+    text = 'whole numbers in whole steps, such as '//numbers_text([first, last, near(place) &
+      + 1.0_wp], ', ')
+    if (apart > 0 .and. steps <= abs(last - first)) text = text//' or '//numbers_text([first, &
+      first + anint((last - first)/steps)*steps, range(3)], ', ')
   end function whole_ranges
-
-  !> A range as it is written.
-  pure function range_text(range) result(text)
-    real(wp), intent(in) :: range(3)
-    character(len=:), allocatable :: text
-
-    text = to_text(range(1))//', '//to_text(range(2))//', '//to_text(range(3))
-  end function range_text
 
   !> Checks keys that exclude or require each other: a run has one length, in collisions or in time;
   !> a limit of the replicas requires a precision.

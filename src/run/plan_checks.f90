@@ -238,6 +238,8 @@ contains
     type(finding_type), allocatable :: others(:)
     class(engine_type), allocatable :: engine
     type(error_type), allocatable :: error
+    type(point_type) :: point
+    character(len=:), allocatable :: reason, allowed
     logical :: outlines_valid
     integer :: at
 
@@ -247,10 +249,13 @@ contains
     call move_alloc(plan%problems, others)
     allocate (plan%problems(0))
     do at = 1, plan%point_count
-      call check_point(plan, point_of(plan, at), outlines_valid)
+      point = point_of(plan, at)
+      call check_point(plan, point, outlines_valid)
       if (size(others) + size(plan%problems) == 0) then
-        call check_engine(plan, engine, point_of(plan, at))
-        call check_scatterers(plan, point_of(plan, at))
+        call explain_refusal(engine, table_of(plan, point), reason, allowed)
+        if (reason /= '') &
+          call refuse_value(plan, 'engine', ''''//plan%engine//''' '//reason, allowed)
+        call check_scatterers(plan, point)
       end if
       if (size(plan%problems) == 0) cycle
       call add_point_findings(plan%of_points, plan%problems, at)
@@ -324,17 +329,6 @@ contains
       end associate
     end associate
   end subroutine check_scatterers
-
-  !> Checks that the engine can simulate the table of a point.
-  subroutine check_engine(plan, engine, point)
-    type(plan_type), intent(inout) :: plan
-    class(engine_type), intent(in) :: engine
-    type(point_type), intent(in) :: point
-    character(len=:), allocatable :: reason, others
-
-    call explain_refusal(engine, table_of(plan, point), reason, others)
-    if (reason /= '') call refuse_value(plan, 'engine', ''''//plan%engine//''' '//reason, others)
-  end subroutine check_engine
 
   !> Checks that openings fit into the urns, and that no length is too small relative to another.
   subroutine check_lengths(plan, point, radii, longest)

@@ -6,7 +6,7 @@
 !> touches one the gap beside it has no width, and rounding would keep a particle there for ever.
 module battery_scatterer_checks
   use battery_kinds, only: wp
-  use battery_text, only: to_text
+  use battery_text, only: to_text, numbers_text
   use battery_channel, only: channel_type
   use battery_findings, only: finding_type, finding_of, of_state
   implicit none (type, external)
@@ -91,7 +91,7 @@ contains
       character(len=:), allocatable :: text
 
       text = 'disc '//to_text(k)//' (values '//to_text(3*k - 2)//' to '//to_text(3*k)//': ' &
-        //to_text(values(3*k - 2))//', '//to_text(values(3*k - 1))//', '//to_text(values(3*k))//')'
+        //numbers_text(values(3*k - 2:3*k), ', ')//')'
     end function place
 
   end function scatterer_problems

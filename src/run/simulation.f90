@@ -316,20 +316,12 @@ contains
     share = min(share, 1.0_wp)
   end function progress
 
-  !> Checks the end of a run: there must be averages, and all particles must be inside the table.
+  !> Checks the end of a run: it must not have been ended for lack of memory, all particles must be
+  !> inside the table, and there must be averages: a single window may have more wall collisions
+  !> than transient and measurement together.
   subroutine verify_simulation(simulation, error)
     type(simulation_type), intent(in) :: simulation
     !> The run was ended early, has no averages, or failed the check of its particles.
-    type(error_type), allocatable, intent(out) :: error
-
-    call check_outcome(simulation, error)
-    if (.not. allocated(error)) call check_particles(simulation, error)
-  end subroutine verify_simulation
-
-  !> Checks that the run was not ended for lack of memory, and that it has a measured time: a single
-  !> window may have more wall collisions than transient and measurement together.
-  subroutine check_outcome(simulation, error)
-    type(simulation_type), intent(in) :: simulation
     type(error_type), allocatable, intent(out) :: error
 
     if (simulation%out_of_room) then
@@ -340,8 +332,10 @@ contains
       call fatal_error(error, 'nothing is left for the averages: the transient of ' &
         //to_text(simulation%setup%transient_collisions)//' wall collisions ended with the run, ' &
         //'after '//to_text(simulation%collisions)//'; more &run collisions are needed')
+    else
+      call check_particles(simulation, error)
     end if
-  end subroutine check_outcome
+  end subroutine verify_simulation
 
   !> Checks that all particles are inside the table at speed 1, up to the resolution of coordinates,
   !> and that the number in each half agrees with the crossings. A particle on a counted line may
@@ -430,10 +424,8 @@ contains
     do k = 1, simulation%snapshots_taken
       associate (snapshot => simulation%snapshot(k))
         if (archive%reading) call allocate_particles(snapshot, simulation%engine%number)
-        call archive%serialize('x', snapshot%x)
-        call archive%serialize('y', snapshot%y)
-        call archive%serialize('ux', snapshot%ux)
-        call archive%serialize('uy', snapshot%uy)
+        call archive%serialize('x', snapshot%x, 'y', snapshot%y, 'ux', snapshot%ux, 'uy', &
+          snapshot%uy)
       end associate
     end do
   end subroutine serialize_snapshots

@@ -12,7 +12,6 @@ module battery_hdf5_attributes
   use battery_error, only: error_type
   use battery_paths, only: c_text_at
   use battery_hdf5_file, only: hdf5_file_type, release_handle, check_status, check_links, no_handle
-  use battery_values, only: describe_array
   implicit none (type, external)
   private
   public :: write_attribute, write_text_attribute, read_text_attribute
@@ -25,6 +24,17 @@ module battery_hdf5_attributes
     !> Extents, one per dimension, in Fortran order; of size 0 for a scalar.
     integer(hsize_t), allocatable :: extents(:)
   end type array_view_type
+
+  interface
+    !> Determines whether the items of `values` are reals, or integers of 32 or 64 bits, and the
+    !> bytes of one item.
+    subroutine describe_array(values, is_real, is_integer, bytes) bind(c, name='battery_describe')
+      import :: c_int
+      implicit none (type, external)
+      type(*), intent(in) :: values(..)
+      integer(c_int), intent(out) :: is_real, is_integer, bytes
+    end subroutine describe_array
+  end interface
 
 contains
 

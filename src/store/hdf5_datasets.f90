@@ -263,23 +263,6 @@ contains
     call release_handle(layout, status)
   end subroutine open_dataset
 
-  !> Checks the extents of a dataset, which is read into memory of these. Does nothing after an
-  !> error.
-  subroutine check_extents(file, dataset, wanted, error)
-    class(hdf5_file_type), intent(in) :: file
-    !> Dataset, open; wanted extents in Fortran order.
-    type(dataset_type), intent(in) :: dataset
-    integer(hsize_t), intent(in) :: wanted(:)
-    type(error_type), allocatable, intent(inout) :: error
-    integer(hsize_t) :: extents(size(wanted))
-
-    if (allocated(error)) return
-    extents = extents_of(dataset, size(wanted))
-    if (any(extents /= wanted)) call check_status(file, dataset%path, 'has the dimensions ' &
-      //extents_text(extents)//'; by the namelist in the file they are '//extents_text(wanted), &
-      1, error)
-  end subroutine check_extents
-
   !> Text for extents, in the order of C and Python.
   pure function extents_text(extents) result(text)
     !> Extents in Fortran order; below 0: the dataset has another rank.
@@ -328,12 +311,17 @@ contains
     type(dataset_type), intent(inout) :: dataset
     character(len=*), intent(in), optional :: scales(:), scale_name
     integer(hid_t) :: space, layout
+    integer(hsize_t) :: extents(size(memory%extents))
     integer :: status
 
     if (allocated(error)) return
     if (.not. file%is_new) then
       call open_dataset(file, path, dataset, error)
-      call check_extents(file, dataset, memory%extents, error)
+      if (allocated(error)) return
+      extents = extents_of(dataset, size(extents))
+      if (any(extents /= memory%extents)) call check_status(file, path, 'has the dimensions ' &
+        //extents_text(extents)//'; by the namelist in the file they are ' &
+        //extents_text(memory%extents), 1, error)
       return
     end if
     dataset%path = path

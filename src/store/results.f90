@@ -58,18 +58,16 @@ contains
     type(results_type), intent(out) :: results
     !> Number of points, and of replicas of each.
     integer, intent(in) :: points, replicas
-    integer :: averaged, counted
 
-    averaged = size(averaged_quantities())
-    counted = size(counted_quantities())
     results%replicas = replicas
     allocate (results%scanned(0), results%point(points), results%host(0))
     allocate (results%failure(points*replicas))
     allocate (results%task_status(replicas, points), source=task_not_done)
     allocate (results%seed(replicas, points), source=unknown_count)
-    allocate (results%average(replicas, points, averaged), source=unknown_real())
-    allocate (results%error(replicas, points, averaged), source=unknown_real())
-    allocate (results%counted(replicas, points, counted), source=unknown_count)
+    allocate (results%average(replicas, points, size(averaged_quantities())), &
+      source=unknown_real())
+    results%error = results%average
+    allocate (results%counted(replicas, points, size(counted_quantities())), source=unknown_count)
   end subroutine new_results
 
   !> Whether all tasks are complete, except those that a precision does not need.

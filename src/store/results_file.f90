@@ -286,8 +286,9 @@ contains
     type(results_type), intent(in) :: results
     type(error_type), allocatable, intent(inout) :: error
     type(dataset_type) :: dataset
+    type(point_type) :: point
     integer(int64) :: entries(3)
-    integer :: length(4), most
+    integer :: length(4), most, p
 
     if (all(results%task_status /= task_complete) .or. any(file%length > 0)) return
     length = 0
@@ -303,7 +304,13 @@ contains
         if (allocated(error)) return
         length(series) = int(entries(1))
       end if
-      most = most_particles(plan, results)
+      ! States have the extent of the largest point with a complete task.
+      most = 0
+      do p = 1, plan%point_count
+        if (all(results%task_status(:, p) /= task_complete)) cycle
+        point = point_of(plan, p)
+        most = max(most, point%number)
+      end do
       if (size(plan%snapshot_times) > 0) length(snapshots) = most
       if (plan%final_state) length(final) = most
       call check_memory_of(bytes_per_state*most*(size(plan%snapshot_times) + merge(1, 0, &
@@ -324,22 +331,6 @@ contains
     call check_memory(bytes, what//' in '//file%name, error)
     if (allocated(error)) error%code = exit_bad_input
   end subroutine check_memory_of
-
-  !> Number of particles of the largest point with a complete task: the extent of the datasets of
-  !> states.
-  integer function most_particles(plan, results) result(most)
-    type(plan_type), intent(in) :: plan
-    type(results_type), intent(in) :: results
-    type(point_type) :: point
-    integer :: p
-
-    most = 0
-    do p = 1, plan%point_count
-      if (all(results%task_status(:, p) /= task_complete)) cycle
-      point = point_of(plan, p)
-      most = max(most, point%number)
-    end do
-  end function most_particles
 
   !> Writes the dimension scales, and the parameters of the points.
   subroutine write_points(file, results, error)

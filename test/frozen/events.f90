@@ -14,7 +14,8 @@ program events
   use battery_engine, only: engine_type, particles_type
   use battery_engines, only: new_engine
   use battery_event_record, only: event_record_type
-  use battery_initial_state, only: read_particles
+  use battery_file_text, only: read_file
+  use battery_initial_state, only: parse_particles
   implicit none (type, external)
   class(engine_type), allocatable :: engine
   type(event_record_type) :: event_record
@@ -22,6 +23,7 @@ program events
   type(particles_type) :: particles
   type(error_type), allocatable :: error
   character(len=1024) :: name, shape, file
+  character(len=:), allocatable :: text
   real(wp) :: time_step, radius, width1, length1, width2, length2, start_time, duration, elapsed
   integer :: number, threshold, i
 
@@ -30,7 +32,9 @@ program events
     start_time, duration
   table = new_table(merge(shape_circuit, shape_urn, shape == 'circuit'), radius, width1, length1, &
     width2, length2)
-  call read_particles(trim(file), table, number, particles, error)
+  call read_file(trim(file), text, error)
+  if (.not. allocated(error)) &
+    call parse_particles(text, trim(file), table, number, particles, error)
   if (.not. allocated(error)) call new_engine(trim(name), engine, error)
   if (allocated(error)) error stop error%message
   engine%time_step = time_step

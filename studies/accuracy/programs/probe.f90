@@ -4,6 +4,8 @@ module battery_probe
   use, intrinsic :: iso_fortran_env, only: output_unit, real32
   use battery_kinds, only: wp, dp, int64
   use battery_error, only: error_type
+  use battery_file_text, only: read_file
+  use battery_initial_state, only: parse_particles
   use battery_text, only: to_text
   use battery_table, only: table_type, new_table, shape_circuit
   use battery_engine, only: engine_type, particles_type
@@ -12,7 +14,7 @@ module battery_probe
   implicit none (type, external)
   private
   public :: argument, real_argument, integer_argument, rounded_to_bits, precision_name, &
-    paper_table, start_engine
+    paper_table, start_engine, read_particles
   public :: advance_for, json_list, print_json_line, stop_with_message
 
 contains
@@ -151,6 +153,19 @@ contains
     end subroutine append_text
 
   end function json_list
+
+  !> Reads the states of `number` particles from a file.
+  subroutine read_particles(file, table, number, particles, error)
+    character(len=*), intent(in) :: file
+    type(table_type), intent(in) :: table
+    integer, intent(in) :: number
+    type(particles_type), intent(out) :: particles
+    type(error_type), allocatable, intent(out) :: error
+    character(len=:), allocatable :: text
+
+    call read_file(file, text, error)
+    if (.not. allocated(error)) call parse_particles(text, file, table, number, particles, error)
+  end subroutine read_particles
 
   !> Prints a line of JSON, and flushes the output.
   subroutine print_json_line(text)

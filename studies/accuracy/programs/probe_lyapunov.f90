@@ -13,9 +13,9 @@ module battery_probe_lyapunov
   use battery_wall_motion, only: find_first_wall, hit_wall, pass_line, motion_at
   use battery_engine, only: particles_type
   use battery_error, only: error_type
-  use battery_initial_state, only: read_particles, random_particles
+  use battery_initial_state, only: random_particles
   use battery_probe, only: argument, real_argument, integer_argument, precision_name, paper_table, &
-    print_json_line, stop_with_message
+    print_json_line, stop_with_message, read_particles
   implicit none (type, external)
   private
   public :: lyapunov_main, tangent_type, advance_tangent, reflect_tangent

@@ -8,10 +8,9 @@ module battery_probe_trajectory
   use battery_table, only: table_type
   use battery_engine, only: engine_type, particles_type
   use battery_event_record, only: event_record_type
-  use battery_initial_state, only: read_particles
   use battery_sampling, only: event_log_type, append_events
   use battery_probe, only: argument, real_argument, integer_argument, precision_name, paper_table, &
-    start_engine, advance_for, json_list, print_json_line, stop_with_message
+    start_engine, advance_for, json_list, print_json_line, stop_with_message, read_particles
   implicit none (type, external)
   private
   public :: trajectory_main, reversal_main

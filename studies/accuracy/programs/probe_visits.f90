@@ -2,8 +2,6 @@
 !> precision, for a comparison with the same ones in another (`studies/common/visits.py`).
 module battery_probe_visits
   use battery_kinds, only: wp, dp, int64
-  use battery_error, only: error_type
-  use battery_file_text, only: close_written
   use battery_text, only: to_text
   use battery_table, only: table_type, channel1, channel2
   use battery_random, only: hashed_uniform
@@ -33,9 +31,8 @@ contains
     type(table_type) :: table
     real(dp), allocatable :: computed(:, :)
     real(wp) :: width(2)
-    integer(int64) :: count, first
-    integer :: bits, n, file
-    type(error_type), allocatable :: error
+    integer(int64) :: count, first, next, bytes
+    integer :: bits, n, file, status
 
     bits = int(integer_argument(6))
     width = [rounded_to_bits(real_argument(3), bits), rounded_to_bits(real_argument(4), bits)]
@@ -53,8 +50,12 @@ contains
       write (file) computed
       deallocate (computed)
     end do
-    call close_written(file, argument(7), error)
-    if (allocated(error)) call stop_with_message(error%message)
+    ! Fortran's own `close` may not report that the last bytes could not be written.
+    inquire (unit=file, pos=next)
+    close (file, iostat=status)
+    inquire (file=argument(7), size=bytes)
+    if (status /= 0 .or. bytes /= next - 1) call stop_with_message('only '//to_text(bytes) &
+      //' of '//to_text(next - 1)//' bytes are in '//argument(7)//': is the disk full?')
     call print_json_line('{"visits": '//to_text(count)//'}')
   end subroutine visits_main
 
