@@ -7,7 +7,7 @@ module battery_initial_state
   use battery_findings, only: findings_type, finding_of, add_finding, findings_text, &
     displayable_text
   use battery_text, only: to_text, new_line_character
-  use battery_table, only: table_type, chamber_at, outside, half_length, &
+  use battery_table, only: table_type, chamber_at, moves_along_arc, outside, half_length, &
     try_random_point
   use battery_engine, only: particles_type
   use battery_signals, only: stop_requested, set_stop_error
@@ -196,8 +196,13 @@ contains
       ! A final state exactly on a wall may be beyond it by rounding.
       if (.not. lost) lost = chamber_at(table, state(1), state(2), rounding*half_length(table)) &
         == outside
-      if (lost) problem = 'lies outside the table: x = '//to_text(state(1))//', y = ' &
-        //to_text(state(2))
+      if (lost) then
+        problem = 'lies outside the table: x = '//to_text(state(1))//', y = '//to_text(state(2))
+      else if (moves_along_arc(table, state(1), state(2), state(3)/hypot(state(3), state(4)), &
+        state(4)/hypot(state(3), state(4)))) then
+        problem = 'moves along the arc of its urn, which it would hit without end; allowed: ' &
+          //'another direction, or a place farther from the arc'
+      end if
     end if
   end subroutine read_line
 

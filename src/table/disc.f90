@@ -208,14 +208,17 @@ contains
     impact = cmplx(ux, u_lateral, wp)*conjg(incidence)
     if (c > 0.0_wp) then
       hits = int((before + ahead)/(2.0_wp*disc%radius*c), int64)
+      ! Within the chord even if `before` is so long that its rounding error exceeds a chord.
+      rest = before + ahead - 2.0_wp*disc%radius*c*real(hits, wp)
+      rest = min(max(rest, 0.0_wp), 2.0_wp*disc%radius*c)
+      rotation = atan2(2.0_wp*s*c, (s - c)*(s + c))
+      rotation = -modulo(real(hits, wp)*rotation, 2.0_wp*pi)
     else
+      ! Chords without length: the particle has glided along the wall.
       hits = 0
+      rest = 0.0_wp
+      rotation = -(before + ahead)*s/disc%radius
     end if
-    ! Within the chord even if `before` is so long that its rounding error exceeds a chord.
-    rest = before + ahead - 2.0_wp*disc%radius*c*real(hits, wp)
-    rest = min(max(rest, 0.0_wp), 2.0_wp*disc%radius*c)
-    rotation = atan2(2.0_wp*s*c, (s - c)*(s + c))
-    rotation = -modulo(real(hits, wp)*rotation, 2.0_wp*pi)
     impact = impact*cmplx(cos(rotation), sin(rotation), wp)
     impact = impact/abs(impact)
     velocity = [real(incidence*impact, wp), aimag(incidence*impact)]

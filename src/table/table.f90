@@ -11,7 +11,7 @@
 !> Fig. app1 is a table of one half: its middle line is a wall that leads back to it. Only
 !> `battery_urn` knows the shape of an urn.
 module battery_table
-  use battery_kinds, only: wp, pi
+  use battery_kinds, only: wp, int64, pi
   use battery_powers, only: power_above
   use battery_channel, only: channel_type, is_open, fold_into_channel, channel1, channel2, &
     no_channel, facing
@@ -21,12 +21,13 @@ module battery_table
   use battery_scatterers, only: scattered_half_channel_type, new_scattered_half_channel, &
     is_in_scatterer, measure_scatterers
   use battery_urn, only: urn_type, shape_polygon, derive_shape, are_mirror_images, contains_point, &
-    try_random_point
+    find_first_impact, try_random_point
   implicit none (type, external)
   private
   public :: table_type, urn_type, channel_type, new_table, shape_circuit, shape_urn
   public :: channel1, channel2, no_channel, outside, in_urn, in_gate, in_channel2
-  public :: urn_at, chamber_at, x_direction, is_open, are_mirror_images, passage_type, passage_at
+  public :: urn_at, chamber_at, moves_along_arc, x_direction, is_open, are_mirror_images
+  public :: passage_type, passage_at
   public :: area, perimeter, half_length, mean_urn_passage, shortest_excursion, try_random_point, &
     longest_run
   public :: has_scatterers, relaxation_time
@@ -37,6 +38,10 @@ module battery_table
   !> Longest run, in units of the reach of an urn: at longer times the clock would not resolve an
   !> urn.
   real(wp), parameter :: longest_run = 1.0e15_wp
+
+  !> Longest passage of a channel, in units of the reach of an urn: the rounding error of a clock in
+  !> a longer one would move a particle visibly across the channel.
+  real(wp), parameter :: longest_passage = 1.0e12_wp
 
   !> Direction along x from the origin to each urn.
   real(wp), parameter :: x_direction(2) = [-1.0_wp, 1.0_wp]
@@ -264,15 +269,34 @@ contains
           <= urn%channel_start(channel1)))
         if (beside > 0.0_wp .and. contains_point(urn, urn%centre - abs(x), y, min(beside, &
           tolerance))) chamber = in_urn
-        if (chamber == outside .and. contains_point(urn, urn%centre - abs(x), y, tolerance)) &
-          chamber = in_urn
       end if
     end associate
     if (table%urn_count == 1 .and. x > tolerance) chamber = outside
   end function chamber_at
 
+  !> Whether a particle in a disc moves along its arc: it is so near, and its direction so close to
+  !> the arc's, that rounding errors decide how soon it hits the wall, and how often.
+  pure function moves_along_arc(table, x, y, ux, uy)
+    type(table_type), intent(in) :: table
+    !> Position in the frame of the table, lengths; velocity, of length 1.
+    real(wp), intent(in) :: x, y, ux, uy
+    logical :: moves_along_arc
+    real(wp), parameter :: least_cosine = 1.0e-7_wp
+    real(wp) :: angle, cosine, sine, wait
+    integer(int64) :: before
+
+    associate (urn => table%urn(urn_at(table, x)))
+      moves_along_arc = urn%shape /= shape_polygon .and. chamber_at(table, x, y, huge(1.0_wp)) &
+        == in_urn
+      if (.not. moves_along_arc) return
+      call find_first_impact(urn, urn%centre - abs(x), y, urn%axis_sign*ux, uy, angle, cosine, &
+        sine, wait, before)
+      moves_along_arc = cosine < least_cosine
+    end associate
+  end function moves_along_arc
+
   !> Passage of a particle that is in a channel: the time since it left its urn, or until it reaches
-  !> it. A particle is trapped if its passage would take longer than the longest run, or have more
+  !> it. A particle is trapped if its passage would take longer than `longest_passage`, or have more
   !> wall hits than an integer can count.
   pure function passage_at(table, x, y, ux, uy) result(passage)
     type(table_type), intent(in) :: table
@@ -291,7 +315,7 @@ contains
       depth = urn%channel_start(channel1) - abs(x)
       if (passage%channel == channel2) depth = abs(x) - urn%centre - urn%chord(channel2)
       outward = facing(passage%channel)*urn%axis_sign*ux
-      passage%trapped = .not. abs(ux)*min(longest_run*urn%reach, &
+      passage%trapped = .not. abs(ux)*min(longest_passage*urn%reach, &
         most_hits*channel%width) > channel%length
       if (passage%trapped) then
         ! Who moves along the chord, and not away from it, is in the urn.
