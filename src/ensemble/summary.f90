@@ -127,8 +127,8 @@ contains
           means_text(results, p, shown)))
       end do
     end if
-    if (lacking) call print_line('-: the run is too short for an error of its own; replicas give ' &
-      //'one (&scan replicas)')
+    if (lacking) call print_line('-: one run does not tell its own error here; replicas give one ' &
+      //'(&scan replicas)')
   end subroutine print_tables
 
   !> Places in `names` of what the tables show: chi and the polarised current where they are known,
