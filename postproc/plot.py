@@ -85,7 +85,7 @@ def relaxation(
     data: xr.Dataset, ax: Axes | None = None, *, variable: str = "chi",
     theory: str | Sequence[str] = (),
 ) -> list[Line2D]:  # fmt: skip
-    """Draw chi, or "current2", against time: mean and standard deviation over the replicas.
+    """Draw chi, or "polarised_current", against time: mean and standard deviation over the replicas.
 
     A colour for each point; theories' stable states as lines. The runs need a series.
     """

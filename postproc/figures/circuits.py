@@ -101,11 +101,10 @@ def figure_flows(
 
 @style.settings()
 def figure_relaxation(points: Points, models: Sequence[Model] = ()) -> Figure:
-    """Return chi, and below it the net current of channel 2, against time, a colour for each point.
+    """Return chi, and below it the polarised current, against time, a colour for each point.
 
-    Mean over the replicas, and a band of their standard deviation. The current is counted from the
-    urn that was full at the start to the other. The beginning is shown on the left if the run is
-    much longer.
+    Mean over the replicas, and a band of their standard deviation. The beginning is shown on the
+    left if the run is much longer.
     """
     points = with_tasks(points)
     models = models or default(points)
@@ -116,7 +115,6 @@ def figure_relaxation(points: Points, models: Sequence[Model] = ()) -> Figure:
     for column, end in zip(panels.T, ends, strict=True):
         for axes, quantity in zip(column, QUANTITIES, strict=True):
             draw_relaxation(axes, points, models, quantity, end)
-    panels[0, 0].set_ylim(0.0, 1.02)
     for axes in panels.flat:
         axes.label_outer()
     handles, labels = panels[0, 0].get_legend_handles_labels()
@@ -124,21 +122,30 @@ def figure_relaxation(points: Points, models: Sequence[Model] = ()) -> Figure:
     return made
 
 
-def _spread(series: Series, number: float) -> Floats:
+def _spread(series: Series, number: float, start: float) -> Floats:
+    del start
     return np.abs(number - 2.0 * series.urn1_number) / number
 
 
-def _net_current(series: Series, number: float) -> Floats:
-    net = series.flows["flow2_12"] - series.flows["flow2_21"]
-    return -net if 2.0 * series.urn1_number[0] < number else net
+def _polarised_current(series: Series, number: float, start: float) -> Floats:
+    """Return the current of channel 2 from the urn that is fuller in the middle of each interval.
+
+    At its end those that crossed are missing from the urn that they left, which is less often the
+    fuller one.
+    """
+    before = np.concatenate([[start], series.urn1_number[:-1]])
+    fuller = np.sign(before + series.urn1_number - number)
+    return fuller * (series.flows["flow2_12"] - series.flows["flow2_21"])
 
 
-# What is drawn against time: its label, how it is found, steps along the axis, theory's field.
+# What is drawn against time: its label, how it is found, steps along the axis, theory's field, and
+# the values that it can have.
 QUANTITIES = {
-    "chi": (r"mass spread $\chi$", _spread, STEPS, "mass_spread"),
-    "current2": ("net current, channel 2\n(per unit time)", _net_current, STEPS // 8,
-                 "net_current"),
+    "chi": (r"mass spread $\chi$", _spread, STEPS, "mass_spread", (0.0, 1.0)),
+    "polarised_current": ("polarised current\n(per unit time)", _polarised_current, STEPS // 8,
+                          "net_current", (-np.inf, np.inf)),
 }  # fmt: skip
+MARGIN = 0.03  # of the axis of chi, for lines at its ends
 
 
 def draw_relaxation(
@@ -149,23 +156,23 @@ def draw_relaxation(
         raise InputError(
             f"against time there is no {quantity!r}; there are {', '.join(QUANTITIES)}"
         )
-    label, quantity_of, steps, field = QUANTITIES[quantity]
+    label, quantity_of, steps, field, possible = QUANTITIES[quantity]
     lines = []
     for at, colour in zip(range(len(points)), TIME_COLOURS, strict=False):
         means = []
         for series in points.all_series(at):
             early = series.time <= end
-            middle, mean, _ = binned(
-                series.time[early], quantity_of(series, points.number[at])[early], steps
-            )
+            number, start = points.number[at], points.value("urn1_number")[at]
+            values = quantity_of(series, number, start)[early]
+            middle, mean, _ = binned(series.time[early], values, steps)
             means.append(mean)
         shortest = min(map(len, means))
         band = np.array([one[:shortest] for one in means])
         mean, deviation = band.mean(axis=0), band.std(axis=0, ddof=min(len(band) - 1, 1))
         lines += axes.plot(middle[:shortest], mean, color=colour, lw=1.1, label=title(points, at))
         if len(band) > 1:
-            axes.fill_between(middle[:shortest], mean - deviation, mean + deviation, color=colour,
-                              alpha=0.25, lw=0)  # fmt: skip
+            ends = np.clip([mean - deviation, mean + deviation], *possible)
+            axes.fill_between(middle[:shortest], *ends, color=colour, alpha=0.25, lw=0)
         for model in models:
             if not points.beyond_theory(at) and not model.refusal(circuit := points.circuit(at)):
                 state = model.reached(circuit, points.number2_at_start(at))
@@ -176,7 +183,9 @@ def draw_relaxation(
         axes.plot([], [], color=style.GREY, ls=model.dashes, lw=0.9,
                   label=f"theory, {model.label}")  # fmt: skip
     axes.set(xlabel="time $t$  (length / $v$)", ylabel=label)
-    if quantity != "chi":
+    if quantity == "chi":
+        axes.set_ylim(-MARGIN, 1.0 + MARGIN)
+    else:
         axes.axhline(0.0, color=style.GREY, lw=0.5)
     axes.set_xlim(0.0, end if np.isfinite(end) else None)
     axes.xaxis.set_major_locator(MaxNLocator(5))

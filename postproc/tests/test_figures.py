@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
 from postproc.figures import appendix, circuits, currents, lengths, maps, style, theories
 from postproc.tests.commands import call
@@ -18,7 +19,6 @@ from postproc.theory.states import Theory
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
     from numpy.typing import NDArray
 
     Floats = NDArray[np.float64]
@@ -152,19 +152,24 @@ def test_comp06_shows_chi_from_one_and_the_stable_states(folder: Path) -> None:
     assert len(levels) >= 2
 
 
-def test_currents_of_a_homogeneous_state_scatter_about_zero(folder: Path) -> None:
+def test_against_time_the_polarised_current_is_that_of_the_file(tmp_path: Path) -> None:
+    """From equal urns, where replicas have either polarity, and where it reverses all the time."""
+    path = results_of(tmp_path / "equal.h5", scan={"threshold": [7, 18], "replicas": 4})
+    files = points_of(path)
+    axes = Figure().add_subplot()
+    lines = circuits.draw_relaxation(axes, files, QUICK[:1], "polarised_current")
+    means = [line.get_ydata().mean() for line in lines]
+    assert means == pytest.approx(files.current, abs=0.03)
+    assert means[0] > 0.5
+
+
+def test_a_band_of_chi_stays_where_chi_can_be_and_a_line_at_its_end_is_seen(folder: Path) -> None:
     files = points_of(folder / "time.h5")
-    made = circuits.figure_relaxation(files, QUICK[:1])
-    current = made.axes[1]
-    full = [line for line in current.lines
-            if line.get_color() == style.BLACK and len(line.get_xdata()) > 2]  # fmt: skip
-    assert min(float(line.get_ydata().min()) for line in full) < 0.0
-    flows = [files.series(2, replica).flows for replica in (0, 1)]
-    measured = np.mean([(one["flow2_12"] - one["flow2_21"])[:50] for one in flows])
-    assert measured > 0.0  # from the urn that was full, urn 1
-    drawn = max(full, key=lambda line: line.get_linewidth())
-    early = drawn.get_xdata() < 500.0
-    assert drawn.get_ydata()[early].mean() == pytest.approx(measured, abs=0.02)
+    spread, _ = circuits.figure_relaxation(files, QUICK).axes
+    band = np.concatenate([one.get_paths()[0].vertices[:, 1] for one in spread.collections])
+    assert 0.0 <= band.min() <= band.max() <= 1.0
+    low, high = spread.get_ylim()
+    assert low < 0.0 < 1.0 < high
 
 
 def test_comp01_has_the_measured_currents_against_threshold_and_chi(folder: Path) -> None:
