@@ -17,7 +17,7 @@ from postproc.figures.currents import (
     explain_eta,
     settled_number2,
 )
-from postproc.figures.maps import STARTS, SYMBOLS, THRESHOLDS, equals, values_of
+from postproc.figures.maps import STARTS, SYMBOLS, THRESHOLDS, WIDTH, equals, values_of
 from postproc.figures.theories import default, spread_and_current
 
 if TYPE_CHECKING:
@@ -282,9 +282,9 @@ def draw_characteristic(axes: Axes, points: Points, models: Sequence[Model]) -> 
     On a second axis the power J U, full at its maximum. The densities follow from the means of chi,
     which in the homogeneous state is the size of fluctuations. Return the lines of U and of J U.
     """
-    points.need_tasks()
     points.circuit(0)  # both urns are alike
-    across, _ = across_of(points)
+    across = WIDTH if WIDTH in points.keys else across_of(points)[0]
+    points.need_only(across)
     points = points.where(np.argsort(points.column(across), kind="stable"))
     current, error = points.mean("polarised_current")
     voltage, deviation = voltage_of(*points.mean("chi"))

@@ -98,7 +98,8 @@ def figure(width: float = PAGE, height: float = 3.2) -> Figure:
 
 def on_map(colour: str = BLACK, width: float = 1.2) -> dict[str, object]:
     """Return the style of a line that is visible on any colour of a map, and in a legend."""
-    border = [Stroke(linewidth=width + 0.9, foreground="white"), Normal()]
+    solid = {"dash_offset": 0.0, "dash_list": None}
+    border = [Stroke(linewidth=width + 1.8, foreground="white", dashes=solid), Normal()]
     return {"color": colour, "lw": width, "path_effects": border}
 
 
@@ -119,10 +120,22 @@ def legend_above(
     made: Figure, handles: Sequence[Artist], labels: Sequence[str], columns: int, **look: object
 ) -> None:
     """Put a legend above the panels, in at most that many columns, so that it is not cut."""
+    _fitted_legend(made, handles, labels, columns, loc="outside upper center", **look)
+
+
+def legend_below(axes: Axes, columns: int, **look: object) -> None:
+    """Put a legend below the axes, in at most that many columns, not wider than they are."""
+    place = {"loc": "upper center", "bbox_to_anchor": (0.5, 0.0)}
+    _fitted_legend(axes, *axes.get_legend_handles_labels(), columns, **place, **look)
+
+
+def _fitted_legend(
+    owner: Figure | Axes, handles: Sequence[Artist], labels: Sequence[str], columns: int,
+    **look: object,
+) -> None:  # fmt: skip
     for count in range(columns, 0, -1):
-        legend = made.legend(handles, labels, loc="outside upper center", ncols=count, **look)
-        width = legend.get_window_extent(made.canvas.get_renderer()).width
-        if width <= made.bbox.width or count == 1:
+        legend = owner.legend(handles, labels, ncols=count, **look)
+        if legend.get_window_extent().width <= owner.bbox.width or count == 1:
             return
         legend.remove()
 
