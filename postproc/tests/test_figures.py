@@ -184,7 +184,7 @@ def test_comp01_has_the_measured_currents_against_threshold_and_chi(folder: Path
     assert left.get_ylabel() == "polarised current (per unit time)"
     assert right.get_xlabel() == r"mass spread $\chi$"
     assert right.get_xlim() == (0.0, 1.0)
-    told = [f"theory, {one.label}" for one in mixed]
+    told = [f"theory, {one.label}, in the same colours" for one in mixed]
     assert labels_of(made) == ["$w' = 0.0102$", "$w' = 0.0306$", *told]
     for at, width in enumerate((0.0102, 0.0306)):
         group = gathered.where(gathered.channel2_width == width)
@@ -192,13 +192,17 @@ def test_comp01_has_the_measured_currents_against_threshold_and_chi(folder: Path
             np.array([group.threshold / 1000.0, group.current])
         )
         assert marks_of(right)[at] == pytest.approx(np.array([group.chi, group.current]))
-        for one in mixed:
-            circuit = replace(Circuit(1000, 4), channel2_width=width)
-            spread, current = theories.spread_and_current(one, circuit, range(4, 19))
-            assert np.isfinite(current).sum() > 5
-            drawn = lines_of(left, one.dashes)[at], lines_of(right, one.dashes)[at]
+        for one, mark in zip(mixed, circuits.THEORY_MARKS, strict=False):
+            states = [one.reached(Circuit(1000, threshold, channel2_width=width), 500.0)
+                      for threshold in range(4, 19)]  # fmt: skip
+            spread, current = np.array([(one.mass_spread, one.net_current) for one in states]).T
+            assert np.count_nonzero(current) > 5
+            assert current[-1] == 0.0  # homogeneous, and drawn
+            drawn = [[np.array(line.get_data()) for line in axes.lines
+                      if line.get_marker() == mark and len(line.get_xdata())][at]
+                     for axes in (left, right)]  # fmt: skip
             expected = (np.arange(4, 19) / 1000.0, current), (spread, current)
-            assert np.array(drawn) == pytest.approx(np.array(expected), nan_ok=True)
+            assert np.array(drawn) == pytest.approx(np.array(expected))
 
 
 def test_numris_shows_each_point_and_the_transition_lines(folder: Path) -> None:

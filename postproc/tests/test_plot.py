@@ -124,6 +124,32 @@ def test_a_map_is_of_two_keys_and_has_the_lines_that_are_asked_for(
         plot.phase_diagram(other, ax=Figure().add_subplot(), theory="window")
 
 
+def test_between_the_points_of_a_width_a_theory_is_computed(folder: Path) -> None:
+    data = postproc.open_results(folder / "map.h5", theory="window").sel(threshold=2)
+    axes = Figure().add_subplot()
+    (measured,) = plot.curves(data, ax=axes, variable="chi", theory="window")
+    (line,) = (one for one in axes.lines if one.get_linestyle() == "--" and len(one.get_xdata()))
+    widths, chi = line.get_data()
+    assert len(widths) > 50
+    at = np.searchsorted(widths, data.channel2_width)
+    assert chi[at] == pytest.approx(data.theory_chi.values)
+    handles, labels = axes.get_legend_handles_labels()
+    assert labels == ["measured", "theory, window (the paper's)"]
+    assert handles[1].lines[0].get_color() == line.get_color() == measured.lines[0].get_color()
+
+
+def test_numbers_of_particles_have_their_ticks_and_theories_marks(tmp_path: Path) -> None:
+    scan = {"number": [200, 210, 400], "threshold": None, "replicas": 1}
+    path = results_of(tmp_path / "sizes.h5", run=SHORT, output=BARE, scan=scan,
+                      particles={"number": None}, gate={"threshold_fraction": 0.01})  # fmt: skip
+    data, axes = postproc.open_results(path, theory="window"), Figure().add_subplot()
+    plot.curves(data, ax=axes, theory="window")
+    assert axes.get_xticks().tolist() == [200, 400]  # two labels would touch
+    marks = next(line for line in axes.lines if line.get_marker() == circuits.THEORY_MARKS[0])
+    assert marks.get_linestyle() == "None"
+    assert marks.get_ydata() == pytest.approx(data.theory_polarised_current.values)
+
+
 @pytest.mark.parametrize(("high", "named"), [(0.1, 1), (0.05, 0)])
 def test_a_tricritical_point_is_named_where_it_is_in_the_frame(high: float, named: int) -> None:
     axes = Figure().add_subplot()
