@@ -44,7 +44,6 @@ BRANCHES = ("chi", "polarised_current")  # what theories have, of a state
 WHOLE = (*THRESHOLDS, "number")  # keys between whose values there is nothing
 THEORY_MARKS = ("x", "+", "1")
 PLACES = 60  # of a fast theory along another key
-TICKS = 0.08  # of the axis, least between two of them
 EARLY = 3000.0  # time within which the transient battery at T = 2 decays
 
 
@@ -97,7 +96,8 @@ def figure_flows(
         if models:
             balance = made.add_subplot(cells[1, at])
             draw_eta(balance, circuit, models, settled_number2(circuit, series))
-            balance.set_ylabel(r"$\eta$, what urn 2 gains" if at == 0 else "")
+            if at > 0:
+                balance.set_ylabel("")
     if models:
         explain_eta(made.axes[0])
     handles, labels = made.axes[0].get_legend_handles_labels()
@@ -245,17 +245,8 @@ def draw_curves(
     axes.set_ylabel(values_of(points, quantity)[1])
     axes.xaxis.set_major_locator(MaxNLocator(5))
     if across == "number" and not against:
-        axes.set_xticks(_apart(np.unique(points.number)))
+        style.ticks_at(axes, points.number.tolist())
     return drawn
-
-
-def _apart(values: Floats) -> list[float]:
-    """Return increasing values without those that are too close for labels on an axis."""
-    kept = values[:1].tolist()
-    for value in values[1:].tolist():
-        if value - kept[-1] > TICKS * np.ptp(values):
-            kept.append(value)
-    return kept
 
 
 def _theory_entry(model: Model, measured: Sequence[Line2D]) -> dict[str, str]:
@@ -312,7 +303,7 @@ def figure_curves(points: Points, models: Sequence[Model] = ()) -> Figure:
     left, right = made.subplots(1, 2, sharey=True)
     draw_curves(left, points, models)
     draw_curves(right, points, models, against="chi")
-    right.set(xlim=(0.0, 1.0), ylabel="")
+    right.set(xlim=(-MARGIN, 1.0 + MARGIN), ylabel="")
     left.set_ylim(bottom=min(0.0, left.get_ylim()[0]))
     style.legend_above(made, *left.get_legend_handles_labels(), 4, fontsize=7.5)
     return made

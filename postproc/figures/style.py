@@ -18,7 +18,7 @@ from matplotlib.ticker import MaxNLocator
 from postproc.cli import InputError, file_to_write, output_folder
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterable, Sequence
     from contextlib import AbstractContextManager
     from pathlib import Path
 
@@ -49,6 +49,7 @@ CYCLE = (BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY)
 COLUMN = 3.4  # width of one column of the journal, inches
 PAGE = 7.0  # width of both columns, inches
 RESOLUTION = 200  # dots per inch of the PNG
+TICKS = 0.08  # of their range, least distance between ticks at given values
 
 SETTINGS = {
     "font.family": "DejaVu Sans",
@@ -108,6 +109,16 @@ def bound(axes: Axes, x: float, y: float, mark: str, colour: str, size: float = 
     axes.plot([x], [y], mark, color=colour, mfc="none", ms=size)
     axes.annotate("", (x, y), (0, -15), textcoords="offset points",
                   arrowprops={"arrowstyle": "<-", "color": colour})  # fmt: skip
+
+
+def ticks_at(axes: Axes, values: Iterable[float]) -> None:
+    """Put ticks of the horizontal axis at values, but at none that is too near to the last one."""
+    known = sorted(values)
+    kept = known[:1]
+    for value in known[1:]:
+        if value - kept[-1] > TICKS * (known[-1] - known[0]):
+            kept.append(value)
+    axes.set_xticks(kept)
 
 
 def label_fraction(axes: Axes) -> None:

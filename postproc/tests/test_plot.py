@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import inspect
 import math
+import pydoc
 from typing import TYPE_CHECKING
 
 import h5py
@@ -192,6 +193,15 @@ def test_the_legend_of_a_scene_leaves_its_table_free(folder: Path) -> None:
     other = Figure().add_subplot()
     plot.scene(data, ax=other, legend=False)
     assert other.get_legend() is None
+
+
+def test_eta_has_a_unit_and_its_help_no_label_of_a_manuscript() -> None:
+    axes = Figure().add_subplot()
+    circuit = postproc.Circuit(number=1000, threshold=7)
+    circuit.plot_eta(ax=axes)
+    assert axes.get_ylabel() == "$\\eta$, gain of urn 2\n(particles per unit time)"
+    for public in (postproc.Circuit, type(circuit.states()[0])):
+        assert "eq. (" not in pydoc.render_doc(public)
 
 
 def test_help_describes_every_argument() -> None:
