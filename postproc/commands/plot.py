@@ -5,13 +5,13 @@ labels of the paper's figures:
 
 phase_diagram   maps of chi and polarised current over T and w', a row for each start (numris)
 flows           flows and net currents against time, a panel a point, eta below (comp05)
-relaxation      chi and net current against time, mean and band over replicas (comp06)
+relaxation      chi and polarised current against time, mean and band over replicas (comp06)
 curves          polarised current against T/N, or another key, and against chi (comp01)
 characteristic  voltage ln(n2/n1) and power against the net current over a scan, as of w'
 lifetimes       lifetimes of both states against N, from series that begin in them
 one_channel     maps of chi over l, w, r and T without channel 2 (a scan over two of them each)
 scene           the table of one point to scale with the particles of a snapshot
-circuit, urn    the table with its lengths named, no file or one with a snapshot (model, app1)
+circuit, urn    the table with its lengths named, no file or one point with snapshots (model, app1)
 urn_current, urn_difference, urn_scaled
                 current of the single urn against T/N, its relative difference from theory, both
                 divided by N (app2, app3, app4)
