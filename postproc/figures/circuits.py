@@ -128,8 +128,7 @@ def figure_relaxation(points: Points, models: Sequence[Model] = ()) -> Figure:
     return made
 
 
-def _spread(series: Series, number: float, start: float) -> Floats:
-    del start
+def _spread(series: Series, number: float, _start: float) -> Floats:
     return np.abs(number - 2.0 * series.urn1_number) / number
 
 
