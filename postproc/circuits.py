@@ -95,7 +95,9 @@ class Circuit:
         return f"Circuit({', '.join(given)})"
 
     def eta(self, urn2_number: ArrayLike, theory: str = PAPERS) -> Floats:
-        """Return eta of eq. (eq007), by how much urn 2 gains in a unit of time.
+        """Return eta, how many particles urn 2 gains in a unit of time, in the mean.
+
+        It is the flow from urn 1 to urn 2 through both channels minus that from urn 2 to urn 1.
 
         Parameters
         ----------
@@ -136,9 +138,10 @@ class Circuit:
         return [State(0.5 * self.number, known.homogeneous_kind(own), 0.0, 0.0), *found]
 
     def transition_width(self, theory: str = PAPERS) -> float:
-        """Return w' of the transition line, eq. (transition), at this N, T and w.
+        """Return w' from which on the homogeneous state is stable, at this N, T and w.
 
-        NaN: there is none. `channel2_width` is not used.
+        There the derivative of eta by N2 at N2 = N/2 changes its sign. NaN: there is none.
+        `channel2_width` is not used.
         """
         own, known = self.model(), _theory(theory)
         if known.mixed or not own.alike:
@@ -203,9 +206,8 @@ class Circuit:
 
         from postproc.figures.currents import draw_eta  # noqa: PLC0415
 
-        names, axes = [theory] if isinstance(theory, str) else theory, ax or plt.gca()
-        axes.set_ylabel(r"$\eta$")
-        return draw_eta(axes, self.model(), [_theory(name) for name in names])
+        names = [theory] if isinstance(theory, str) else theory
+        return draw_eta(ax or plt.gca(), self.model(), [_theory(name) for name in names])
 
     def model(self, age: float = PAPERS_AGE) -> Model:
         """Return the circuit as the theories take it."""

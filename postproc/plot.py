@@ -36,8 +36,10 @@ def phase_diagram(
 
     Parameters
     ----------
-    data, ax
-        As above.
+    data
+        Results of `open_results` or `merge`, or a part of them, with two keys that were scanned.
+    ax
+        Axes to draw into; None: the current ones of pyplot.
     variable
         What is shown, such as "chi" or "polarised_current".
     theory
@@ -50,12 +52,14 @@ def phase_diagram(
     matplotlib.collections.QuadMesh
         For a colour bar.
     """
-    points = Points(data)
-    points.need_only(*maps.map_axes(points))
-    axes = _axes(ax)
+    points = _points(data)
     values, _, own = maps.values_of(points, variable)
-    mesh = maps.draw_map(axes, points, values, own | look)
-    maps.draw_lines(axes, *maps.of_theory(points, _theories(points, theory)))
+    keys = maps.map_axes(points)
+    points.need_only(*keys)
+    lines, marks = maps.of_theory(points, keys, _theories(points, theory))
+    axes = _axes(ax)
+    mesh = maps.draw_map(axes, points, keys, values, own | look)
+    maps.draw_lines(axes, lines, marks)
     return mesh
 
 
@@ -63,20 +67,30 @@ def curves(
     data: xr.Dataset, ax: Axes | None = None, *, variable: str = "polarised_current",
     against: str = "", theory: str | Sequence[str] = (),
 ) -> list[ErrorbarContainer]:  # fmt: skip
-    """Draw means over replicas with errors against the key that was scanned, theories as lines.
+    """Draw means over replicas with errors against the key that was scanned, and theories.
 
     Of two keys one is along the axis (T or N, if scanned), the other has a mark for each value.
 
     Parameters
     ----------
-    data, ax, theory
-        As above.
+    data
+        Results of `open_results` or `merge`, or a part of them, with at most two keys that were
+        scanned.
+    ax
+        Axes to draw into; None: the current ones of pyplot.
     variable
         What is drawn, such as "chi" or "polarised_current".
     against
         Another variable along the axis, such as "chi"; "": the key.
+    theory
+        One or several names. A theory has the state that it reaches from the start of the runs.
+
+    Returns
+    -------
+    list of matplotlib.container.ErrorbarContainer
+        One for each value of the second key.
     """
-    points = Points(data)
+    points = _points(data)
     drawn = _theories(points, theory)
     return circuits.draw_curves(_axes(ax), points, drawn, variable, against)
 
@@ -85,11 +99,26 @@ def relaxation(
     data: xr.Dataset, ax: Axes | None = None, *, variable: str = "chi",
     theory: str | Sequence[str] = (),
 ) -> list[Line2D]:  # fmt: skip
-    """Draw chi, or "current2", against time: mean and standard deviation over the replicas.
+    """Draw a variable against time: mean over replicas, and a band of their standard deviation.
 
-    A colour for each point; theories' stable states as lines. The runs need a series.
+    Parameters
+    ----------
+    data
+        Results of `open_results` or `merge`, or a part of them, with a series; at most six points,
+        each of which has a colour.
+    ax
+        Axes to draw into; None: the current ones of pyplot.
+    variable
+        "chi" or "polarised_current".
+    theory
+        One or several names, whose states that are reached are drawn as lines.
+
+    Returns
+    -------
+    list of matplotlib.lines.Line2D
+        The mean of each point.
     """
-    points = circuits.with_tasks(Points(data))
+    points = circuits.with_tasks(_points(data))
     return circuits.draw_relaxation(_axes(ax), points, _theories(points, theory), variable)
 
 
@@ -97,8 +126,27 @@ def flows(
     data: xr.Dataset, ax: Axes | None = None, *, replica: int = 0,
     theory: str | Sequence[str] = (),
 ) -> list[ErrorbarContainer]:  # fmt: skip
-    """Draw the four flows and both net currents of one point against time, from a series."""
-    points = Points(data)
+    """Draw the four flows and both net currents of one run against time, from a series.
+
+    Net currents are counted from urn 1 to urn 2, as `current1` and `current2` of a dataset.
+
+    Parameters
+    ----------
+    data
+        One point of `open_results` or `merge`, such as `data.sel(threshold=7)`, with a series.
+    ax
+        Axes to draw into; None: the current ones of pyplot.
+    replica
+        Which one, from 0.
+    theory
+        One or several names, whose flows and net currents are drawn as lines.
+
+    Returns
+    -------
+    list of matplotlib.container.ErrorbarContainer
+        One for each flow.
+    """
+    points = _points(data)
     points.need_only()
     circuit, series = points.any_circuit(0), points.series(0, replica)
     drawn = _theories(points, theory)
@@ -106,27 +154,60 @@ def flows(
 
 
 def scene(
-    data: xr.Dataset, ax: Axes | None = None, *, replica: int = 0, snapshot: int = -1
-) -> list[PathCollection]:
-    """Draw the table of one point to scale with the particles of a snapshot, by default the last.
+    data: xr.Dataset, ax: Axes | None = None, *, replica: int = 0, snapshot: int = -1,
+    legend: bool = True,
+) -> list[PathCollection]:  # fmt: skip
+    """Draw the table of one point to scale with its particles; those that a gate counts are larger.
 
-    Particles that a gate counts are larger; `ax.legend()` names the colours.
+    Parameters
+    ----------
+    data
+        One point of `open_results` or `merge`, such as `data.sel(threshold=7)`, with snapshots.
+    ax
+        Axes to draw into; None: the current ones of pyplot.
+    replica
+        Which one, from 0.
+    snapshot
+        Which one, from 0, or from the end if negative; by default the last.
+    legend
+        Whether the colours are named below the table.
+
+    Returns
+    -------
+    list of matplotlib.collections.PathCollection
+        One for each colour.
     """
-    points = Points(data)
+    points = _points(data)
     points.need_only()
     axes, circuit = _axes(ax), points.any_circuit(0)
     scenes.draw_table(axes, circuit)
-    return scenes.draw_particles(axes, circuit, points.snapshot(0, replica, snapshot))
+    drawn = scenes.draw_particles(axes, circuit, points.snapshot(0, replica, snapshot))
+    if legend:
+        scenes.explain(axes)
+    return drawn
 
 
 def lifetimes(
     data: xr.Dataset, ax: Axes | None = None, *, theory: str | Sequence[str] = ()
 ) -> list[ErrorbarContainer]:
-    """Draw how long the homogeneous and the polarised state last, against N, from series.
+    """Draw how long the homogeneous and the polarised state last, against N.
 
-    Marks are measured, by first passages of the replicas; lines are those of a theory's chain.
+    Parameters
+    ----------
+    data
+        Results of `open_results` or `merge`, or a part of them, with series: first passages of the
+        replicas are measured, drawn as marks.
+    ax
+        Axes to draw into; None: the current ones of pyplot.
+    theory
+        One or several names, whose birth-death chains are drawn as lines.
+
+    Returns
+    -------
+    list of matplotlib.container.ErrorbarContainer
+        One for each state from which runs began.
     """
-    points = Points(data)
+    points = _points(data)
     return passages.draw_lifetimes(_axes(ax), passages.measured(points), _theories(points, theory))
 
 
@@ -137,9 +218,30 @@ def characteristic(
 
     n1 and n2 are the densities in the urns. The open circuit is where J = 0; beyond the largest
     power the battery collapses at the transition.
+
+    Parameters
+    ----------
+    data
+        Results of `open_results` or `merge`, or a part of them, with one key that was scanned.
+    ax
+        Axes to draw into; None: the current ones of pyplot.
+    theory
+        One or several names, whose voltage is drawn as a line.
+
+    Returns
+    -------
+    list of matplotlib.lines.Line2D
+        Those of U and of J U.
     """
-    points = Points(data)
+    points = _points(data)
     return circuits.draw_characteristic(_axes(ax), points, _theories(points, theory))
+
+
+def _points(data: xr.Dataset) -> Points:
+    """Return the points of results; raise `InputError` if no task is complete."""
+    points = Points(data)
+    points.need_tasks()
+    return points
 
 
 def _axes(ax: Axes | None) -> Axes:

@@ -1,12 +1,12 @@
 """Prints, as JSON, mean lifetimes of the homogeneous and the polarised state of a circuit.
 
 At finite N, N2 is a birth-death chain with the theory's rates. A particle goes from urn 1 to urn 2
-at rate f(N - N2)/(pi A) and back at rate f(N2)/(pi A), with the
-outflows of eq. (eq007). If both kinds of state are stable (T = 2 in the paper), a state is left by
-fluctuations; its lifetime is the mean time from the state to the unstable one between them. The
-lifetimes of direction are within a factor of 2.1 of runs for T = 1 and 2. At larger T they are too
-long, 14 and 22 times at T = 5, N = 1000, w' = 0.0281: the chain takes crossings as independent, but
-there particles get through a gate in bursts.
+at rate f(N - N2)/(pi A) and back at rate f(N2)/(pi A), whose difference is eta. If both kinds of
+state are stable (T = 2 in the paper), a state is left by fluctuations; its lifetime is the mean
+time from the state to the unstable one between them. The lifetimes of direction are within a factor
+of 2.1 of runs for T = 1 and 2. At larger T they are too long, 14 and 22 times at T = 5, N = 1000,
+w' = 0.0281: the chain takes crossings as independent, but there particles get through a gate in
+bursts.
 """
 
 from __future__ import annotations

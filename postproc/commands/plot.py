@@ -5,13 +5,13 @@ labels of the paper's figures:
 
 phase_diagram   maps of chi and polarised current over T and w', a row for each start (numris)
 flows           flows and net currents against time, a panel a point, eta below (comp05)
-relaxation      chi and net current against time, mean and band over replicas (comp06)
+relaxation      chi and polarised current against time, mean and band over replicas (comp06)
 curves          polarised current against T/N, or another key, and against chi (comp01)
 characteristic  voltage ln(n2/n1) and power against the net current over a scan, as of w'
 lifetimes       lifetimes of both states against N, from series that begin in them
 one_channel     maps of chi over l, w, r and T without channel 2 (a scan over two of them each)
 scene           the table of one point to scale with the particles of a snapshot
-circuit, urn    the table with its lengths named, no file or one with a snapshot (model, app1)
+circuit, urn    the table with its lengths named, no file or one point with snapshots (model, app1)
 urn_current, urn_difference, urn_scaled
                 current of the single urn against T/N, its relative difference from theory, both
                 divided by N (app2, app3, app4)
@@ -69,6 +69,7 @@ LABELS = {
     "app4": "urn_scaled",
 }  # fmt: skip
 WITHOUT_FILE = ("circuit", "urn")
+ONE_POINT = ("scene", *WITHOUT_FILE)
 ANY_SHAPE = ("circuit", "scene", "flows")
 
 
@@ -99,6 +100,7 @@ def main(arguments: list[str] | None = None) -> int:
     found = [Points(selected(dataset_of(one, verify=given.verify), dict(given.select)))
              for one in files]  # fmt: skip
     for points in found:
+        points.need_tasks()
         if (points.shape == "urn") != name.startswith("urn") and name not in ANY_SHAPE:
             raise cli.InputError(f"{points.files}: a run of shape '{points.shape}', not of "
                                  f"figure {given.name}")  # fmt: skip
@@ -116,13 +118,13 @@ def _drawn(name: str, found: list[Points], given: argparse.Namespace) -> Figure:
     draw, points = FIGURES[name], found[0]
     words = signature(draw).parameters
     more: dict[str, object] = {}
-    if name == "scene" and not given.point:
+    if name in ONE_POINT and not given.point:
         points.need_only()
     if given.theory and "models" in words:
         more["models"] = asked(points, given.theory)
     if "task" in words:
         task = points.task(given.point, given.replica)
-        more |= {"task": task if given.point or given.replica or name == "scene" else None}
+        more |= {"task": task if given.point or given.replica or name in ONE_POINT else None}
     if "snapshot" in words and given.snapshot:
         more["snapshot"] = given.snapshot - 1
     return draw(found if name == "one_channel" else points, **more)

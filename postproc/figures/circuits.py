@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -17,8 +18,9 @@ from postproc.figures.currents import (
     explain_eta,
     settled_number2,
 )
-from postproc.figures.maps import STARTS, SYMBOLS, THRESHOLDS, equals, values_of
-from postproc.figures.theories import default, spread_and_current
+from postproc.figures.maps import STARTS, SYMBOLS, THRESHOLDS, WIDTH, equals, values_of
+from postproc.figures.theories import default
+from postproc.progress import each
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -39,6 +41,9 @@ TIME_COLOURS = (style.BLUE, style.VERMILION, style.BLACK, style.GREEN, style.PUR
 MOST = 6  # points in a figure against time
 STEPS = 400  # places along the time axis
 BRANCHES = ("chi", "polarised_current")  # what theories have, of a state
+WHOLE = (*THRESHOLDS, "number")  # keys between whose values there is nothing
+THEORY_MARKS = ("x", "+", "1")
+PLACES = 60  # of a fast theory along another key
 EARLY = 3000.0  # time within which the transient battery at T = 2 decays
 
 
@@ -91,7 +96,8 @@ def figure_flows(
         if models:
             balance = made.add_subplot(cells[1, at])
             draw_eta(balance, circuit, models, settled_number2(circuit, series))
-            balance.set_ylabel(r"$\eta$, what urn 2 gains" if at == 0 else "")
+            if at > 0:
+                balance.set_ylabel("")
     if models:
         explain_eta(made.axes[0])
     handles, labels = made.axes[0].get_legend_handles_labels()
@@ -101,11 +107,10 @@ def figure_flows(
 
 @style.settings()
 def figure_relaxation(points: Points, models: Sequence[Model] = ()) -> Figure:
-    """Return chi, and below it the net current of channel 2, against time, a colour for each point.
+    """Return chi, and below it the polarised current, against time, a colour for each point.
 
-    Mean over the replicas, and a band of their standard deviation. The current is counted from the
-    urn that was full at the start to the other. The beginning is shown on the left if the run is
-    much longer.
+    Mean over the replicas, and a band of their standard deviation. The beginning is shown on the
+    left if the run is much longer.
     """
     points = with_tasks(points)
     models = models or default(points)
@@ -116,7 +121,6 @@ def figure_relaxation(points: Points, models: Sequence[Model] = ()) -> Figure:
     for column, end in zip(panels.T, ends, strict=True):
         for axes, quantity in zip(column, QUANTITIES, strict=True):
             draw_relaxation(axes, points, models, quantity, end)
-    panels[0, 0].set_ylim(0.0, 1.02)
     for axes in panels.flat:
         axes.label_outer()
     handles, labels = panels[0, 0].get_legend_handles_labels()
@@ -124,21 +128,29 @@ def figure_relaxation(points: Points, models: Sequence[Model] = ()) -> Figure:
     return made
 
 
-def _spread(series: Series, number: float) -> Floats:
+def _spread(series: Series, number: float, _start: float) -> Floats:
     return np.abs(number - 2.0 * series.urn1_number) / number
 
 
-def _net_current(series: Series, number: float) -> Floats:
-    net = series.flows["flow2_12"] - series.flows["flow2_21"]
-    return -net if 2.0 * series.urn1_number[0] < number else net
+def _polarised_current(series: Series, number: float, start: float) -> Floats:
+    """Return the current of channel 2 from the urn that is fuller in the middle of each interval.
+
+    At its end those that crossed are missing from the urn that they left, which is less often the
+    fuller one.
+    """
+    before = np.concatenate([[start], series.urn1_number[:-1]])
+    fuller = np.sign(before + series.urn1_number - number)
+    return fuller * (series.flows["flow2_12"] - series.flows["flow2_21"])
 
 
-# What is drawn against time: its label, how it is found, steps along the axis, theory's field.
+# What is drawn against time: its label, how it is found, steps along the axis, theory's field, and
+# the values that it can have.
 QUANTITIES = {
-    "chi": (r"mass spread $\chi$", _spread, STEPS, "mass_spread"),
-    "current2": ("net current, channel 2\n(per unit time)", _net_current, STEPS // 8,
-                 "net_current"),
+    "chi": (r"mass spread $\chi$", _spread, STEPS, "mass_spread", (0.0, 1.0)),
+    "polarised_current": ("polarised current\n(per unit time)", _polarised_current, STEPS // 8,
+                          "net_current", (-np.inf, np.inf)),
 }  # fmt: skip
+MARGIN = 0.03  # of the axis of chi, for lines at its ends
 
 
 def draw_relaxation(
@@ -149,23 +161,23 @@ def draw_relaxation(
         raise InputError(
             f"against time there is no {quantity!r}; there are {', '.join(QUANTITIES)}"
         )
-    label, quantity_of, steps, field = QUANTITIES[quantity]
+    label, quantity_of, steps, field, possible = QUANTITIES[quantity]
     lines = []
     for at, colour in zip(range(len(points)), TIME_COLOURS, strict=False):
         means = []
         for series in points.all_series(at):
             early = series.time <= end
-            middle, mean, _ = binned(
-                series.time[early], quantity_of(series, points.number[at])[early], steps
-            )
+            number, start = points.number[at], points.value("urn1_number")[at]
+            values = quantity_of(series, number, start)[early]
+            middle, mean, _ = binned(series.time[early], values, steps)
             means.append(mean)
         shortest = min(map(len, means))
         band = np.array([one[:shortest] for one in means])
         mean, deviation = band.mean(axis=0), band.std(axis=0, ddof=min(len(band) - 1, 1))
         lines += axes.plot(middle[:shortest], mean, color=colour, lw=1.1, label=title(points, at))
         if len(band) > 1:
-            axes.fill_between(middle[:shortest], mean - deviation, mean + deviation, color=colour,
-                              alpha=0.25, lw=0)  # fmt: skip
+            ends = np.clip([mean - deviation, mean + deviation], *possible)
+            axes.fill_between(middle[:shortest], *ends, color=colour, alpha=0.25, lw=0)
         for model in models:
             if not points.beyond_theory(at) and not model.refusal(circuit := points.circuit(at)):
                 state = model.reached(circuit, points.number2_at_start(at))
@@ -173,10 +185,11 @@ def draw_relaxation(
                     level = getattr(state, field)
                     axes.axhline(level, color=colour, ls=model.dashes, lw=0.9)
     for model in models:
-        axes.plot([], [], color=style.GREY, ls=model.dashes, lw=0.9,
-                  label=f"theory, {model.label}")  # fmt: skip
+        axes.plot([], [], ls=model.dashes, lw=0.9, **_theory_entry(model, lines))
     axes.set(xlabel="time $t$  (length / $v$)", ylabel=label)
-    if quantity != "chi":
+    if quantity == "chi":
+        axes.set_ylim(-MARGIN, 1.0 + MARGIN)
+    else:
         axes.axhline(0.0, color=style.GREY, lw=0.5)
     axes.set_xlim(0.0, end if np.isfinite(end) else None)
     axes.xaxis.set_major_locator(MaxNLocator(5))
@@ -198,51 +211,83 @@ def draw_curves(
     axes: Axes, points: Points, models: Sequence[Model], quantity: str = "polarised_current",
     against: str = "",
 ) -> list[ErrorbarContainer]:  # fmt: skip
-    """Draw means of a variable against a key, or another variable; a mark for each second key."""
+    """Draw means of a variable against a key, or another variable; a mark for each second key.
+
+    T/N is that of the whole T with which a fraction was run.
+    """
     across, other = across_of(points)
-    drawn, fraction = [], across in THRESHOLDS and np.unique(points.number).size == 1
-    for at, (value, part) in enumerate(points.groups(*([other] if other else []))):
+    groups = list(points.groups(*([other] if other else [])))
+    as_share = across == "threshold_fraction" or (
+        across == "threshold" and np.unique(points.number).size == 1
+    )
+    known = {quantity, against or quantity} <= {*BRANCHES}
+    theories = _theory_looks(models if known else (), across)
+    drawn = []
+    for at, (value, part) in enumerate(groups):
         colour, mark = style.CYCLE[at % len(style.CYCLE)], MARKS[at % len(MARKS)]
         group = part.where(np.argsort(part.column(across), kind="stable"))
-        places = group.column(across) / (group.number if across == "threshold" and fraction else 1)
+        places = group.threshold / group.number if as_share else group.column(across)
         x, x_error = group.mean(against) if against else (places, None)
         y, y_error = group.mean(quantity)
         label = ", ".join(equals(name, one) for name, one in value.items())
         drawn.append(axes.errorbar(x, y, y_error, x_error, fmt=mark, color=colour, mfc="none",
                                    elinewidth=0.7, ms=3.8, label=label or "measured"))  # fmt: skip
-        for model in models:
-            found = _branch(group, model, places, fraction)
-            if quantity in found:
-                axes.plot(found[against or "x"], found[quantity], color=colour, ls=model.dashes,
-                          lw=0.9)  # fmt: skip
-    for model in models if quantity in BRANCHES else ():
-        axes.plot([], [], color=style.GREY, ls=model.dashes, lw=0.9,
-                  label=f"theory, {model.label}")  # fmt: skip
+        for model, look in theories:
+            found = _branch(group, model, across)
+            if found:
+                found["x"] = found["x"] / (group.number[0] if as_share else 1)
+                axes.plot(found[against or "x"], found[quantity], color=colour, **look)
+    for model, look in theories:
+        axes.errorbar([], [], **_theory_entry(model, [one.lines[0] for one in drawn]), **look)
     axes.set_xlabel(values_of(points, against)[1] if against
-                    else "$T/N$" if fraction else SYMBOLS.get(across, across))  # fmt: skip
+                    else "$T/N$" if as_share else SYMBOLS.get(across, across))  # fmt: skip
     axes.set_ylabel(values_of(points, quantity)[1])
     axes.xaxis.set_major_locator(MaxNLocator(5))
+    if across == "number" and not against:
+        style.ticks_at(axes, points.number.tolist())
     return drawn
 
 
-def _branch(group: Points, model: Model, places: Floats, fraction: bool) -> dict[str, Floats]:
-    """Return a theory's states through the points of a group, by T at each whole number."""
+def _theory_entry(model: Model, measured: Sequence[Line2D]) -> dict[str, str]:
+    """Return label and colour of a theory in a legend: that of what is measured, grey for many."""
+    if len(measured) == 1:
+        return {"label": f"theory, {model.label}", "color": str(measured[0].get_color())}
+    return {"label": f"theory, {model.label}, in the same colours", "color": style.GREY}
+
+
+def _theory_looks(models: Sequence[Model], across: str) -> list[tuple[Model, dict[str, object]]]:
+    """Return how each theory is drawn: as a line if it is computed between the points, or marks."""
+    looks = []
+    for model, mark in zip(models, THEORY_MARKS, strict=False):
+        line = {"ls": model.dashes, "lw": 0.9}
+        marks = {"ls": "none", "marker": mark, "ms": 4.5, "mew": 0.8}
+        looks.append((model, line if model.mixed and across not in WHOLE else marks))
+    return looks
+
+
+def _branch(group: Points, model: Model, across: str) -> dict[str, Floats]:
+    """Return the states that a theory reaches from the start of the runs, by their place.
+
+    Places are all whole T, or the points of other keys and, if it is fast, many between them.
+    """
     if any(map(group.beyond_theory, range(len(group)))) or model.refusal(group.circuit(0)):
         return {}
-    if fraction:
-        circuit = group.circuit(0)
-        last = min(int(group.threshold.max()), int(circuit.number))  # as for all above
-        thresholds = np.arange(max(int(group.threshold.min()), 1), last + 1)
-        found = spread_and_current(model, circuit, thresholds)
-        places = thresholds / float(circuit.number)
-    else:
-        states = [
-            model.reached(group.circuit(at), group.number2_at_start(at)) for at in range(len(group))
-        ]
-        values = [(math.nan, math.nan) if one is None else (one.mass_spread, one.net_current)
-                  for one in states]  # fmt: skip
-        found = np.reshape(values, (-1, 2)).T
-    return {"x": places, **dict(zip(BRANCHES, found, strict=True))}
+    name = "threshold" if across in THRESHOLDS else across
+    known = places = group.column(name)
+    polygons = group.circuit(0).outline is not None  # with outlines of their own
+    if name == "threshold":
+        last = min(int(known.max()), int(group.number[0]))  # as for all above
+        places = np.arange(max(int(known.min()), 1), last + 1)
+    elif name not in WHOLE and model.mixed and not (name == "urn_radius" and polygons):
+        places = np.union1d(known, np.linspace(known.min(), known.max(), PLACES))
+    states = []
+    for place in each(places.tolist(), f"states, {model.label}, {name}"):
+        at = int(np.argmin(np.abs(known - place)))
+        value = int(place) if name in WHOLE else place
+        circuit = replace(group.circuit(at), **{name: value})
+        found = model.reached(circuit, group.number2_at_start(at))
+        states.append((math.nan,) * 2 if found is None else (found.mass_spread, found.net_current))
+    return {"x": places, **dict(zip(BRANCHES, np.reshape(states, (-1, 2)).T, strict=True))}
 
 
 @style.settings()
@@ -257,13 +302,9 @@ def figure_curves(points: Points, models: Sequence[Model] = ()) -> Figure:
     left, right = made.subplots(1, 2, sharey=True)
     draw_curves(left, points, models)
     draw_curves(right, points, models, against="chi")
-    right.set(xlim=(0.0, 1.0), ylabel="")
+    right.set(xlim=(-MARGIN, 1.0 + MARGIN), ylabel="")
     left.set_ylim(bottom=min(0.0, left.get_ylim()[0]))
-    handles, labels = left.get_legend_handles_labels()  # lines come first
-    count = len(models)
-    entries = list(zip(handles, labels, strict=True))
-    handles, labels = zip(*entries[count:], *entries[:count], strict=True)
-    style.legend_above(made, handles, labels, 4, fontsize=7.5)
+    style.legend_above(made, *left.get_legend_handles_labels(), 4, fontsize=7.5)
     return made
 
 
@@ -273,9 +314,9 @@ def draw_characteristic(axes: Axes, points: Points, models: Sequence[Model]) -> 
     On a second axis the power J U, full at its maximum. The densities follow from the means of chi,
     which in the homogeneous state is the size of fluctuations. Return the lines of U and of J U.
     """
-    points.need_tasks()
     points.circuit(0)  # both urns are alike
-    across, _ = across_of(points)
+    across = WIDTH if WIDTH in points.keys else across_of(points)[0]
+    points.need_only(across)
     points = points.where(np.argsort(points.column(across), kind="stable"))
     current, error = points.mean("polarised_current")
     voltage, deviation = voltage_of(*points.mean("chi"))
@@ -290,12 +331,12 @@ def draw_characteristic(axes: Axes, points: Points, models: Sequence[Model]) -> 
         where = equals(across, points.column(across)[best])
         right.plot(current[best], power[best], "s", **look)
         axes.plot([], [], "s", label=f"largest $J U$, {power[best]:.3g} at {where}", **look)
-    for model in models:
-        found = _branch(points, model, points.column(across), fraction=False)
+    for model, look in _theory_looks(models, across):
+        found = _branch(points, model, across)
         if found:
             level = voltage_of(found["chi"], 0.0)[0]
-            axes.plot(found["polarised_current"], level, color=style.BLUE, ls=model.dashes, lw=0.9,
-                      label=f"$U$, theory, {model.label}")  # fmt: skip
+            axes.plot(found["polarised_current"], level, color=style.BLUE,
+                      label=f"$U$, theory, {model.label}", **look)  # fmt: skip
     axes.set(xlabel="net current $J$ (per unit time)", ylabel=r"$U = \ln(n_2/n_1)$")
     axes.set_ylim(bottom=0.0)
     right.set_ylabel("power $J U$", color=style.ORANGE)

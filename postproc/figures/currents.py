@@ -37,6 +37,10 @@ FLOW_LOOK = {
     "flow2_12": ("^", style.GREEN, "channel 2, urn 1 → 2"),
     "flow2_21": ("D", style.PURPLE, "channel 2, urn 2 → 1"),
 }
+NET_LOOK = {
+    "current1": (style.VERMILION, "net current, channel 1, urn 1 → 2"),
+    "current2": (style.SKY, "net current, channel 2, urn 1 → 2"),
+}
 
 
 def binned(time: Floats, values: Floats, bins: int) -> Binned:
@@ -62,7 +66,7 @@ def settled_number2(circuit: Circuit, series: Series) -> float:
 def draw_eta(
     axes: Axes, circuit: Circuit, models: Sequence[Model], number2: float | None = None
 ) -> list[Line2D]:
-    """Draw eta of eq. (eq007) against N2/N, its zeros, and a disc at the state of the run.
+    """Draw eta against N2/N, its zeros, and a disc at the state of the run.
 
     Return the line of each theory.
     """
@@ -78,7 +82,7 @@ def draw_eta(
             axes.plot(zero / total, 0.0, "o", ms=3.2, mfc=face, mec=style.BLACK, mew=0.6, zorder=4)
     if number2 is not None:
         axes.plot(number2 / total, 0.0, "o", ms=5.5, mfc="none", mec=style.VERMILION, zorder=5)
-    axes.set_xlabel("$N_2/N$")
+    axes.set(xlabel="$N_2/N$", ylabel="$\\eta$, gain of urn 2\n(particles per unit time)")
     axes.set_xlim(0.0, 1.0)
     axes.xaxis.set_major_locator(MaxNLocator(4))
     axes.yaxis.set_major_locator(MaxNLocator(5))
@@ -121,8 +125,10 @@ def _parts(
         second = 0.5 * number if state is None else state.urn2_number
         flipped = circuit.alike and (second > 0.5 * number) != (reached > 0.5 * number)
         levels.append(model.levels(circuit, number - second if flipped else second))
-    nets = _net_currents(series, 1.0 if reached > 0.5 * number else -1.0)
-    return [binned(series.time, series.flows[name], MARKS) for name in FLOW_LOOK], nets, levels
+    flows = series.flows
+    nets = [binned(series.time, flows[f"flow{channel}_12"] - flows[f"flow{channel}_21"], BINS)
+            for channel in (1, 2)]  # fmt: skip
+    return [binned(series.time, flows[name], MARKS) for name in FLOW_LOOK], nets, levels
 
 
 def draw_currents(
@@ -131,9 +137,8 @@ def draw_currents(
 ) -> list[Axes]:  # fmt: skip
     """Draw flows (marks), net currents (lines), and both by theories; return the panels.
 
-    Net currents are counted along the final polarity of the run, both with the same sign. A
-    theory's flow has the colour of the corresponding marks, its net current is black. The axis is
-    broken if a large part of it is empty, so there are one or two panels, the upper one first.
+    A theory's flow has the colour of the corresponding marks, its net currents are black. The axis
+    is broken if a large part of it is empty, so there are one or two panels, the upper one first.
     """
     flows, nets, levels = _parts(circuit, series, models, start2)
     settled = [mean[middle > START * series.time[-1]] for middle, mean, _ in [*flows, *nets]]
@@ -150,13 +155,6 @@ def draw_currents(
     if len(panels) > 1:
         _break(*panels)
     return panels
-
-
-def _net_currents(series: Series, sign: float) -> list[Binned]:
-    """Return the net currents of channel 1 from urn 1 to urn 2 and of channel 2 back, `binned`."""
-    ways = (("flow1_12", "flow1_21"), ("flow2_21", "flow2_12"))
-    nets = [sign * (series.flows[ahead] - series.flows[back]) for ahead, back in ways]
-    return [binned(series.time, net, BINS) for net in nets]
 
 
 def _ranges(values: Floats) -> list[tuple[float, float]]:
@@ -181,9 +179,8 @@ def _draw(
     for (mark, colour, label), (middle, mean, error) in zip(FLOW_LOOK.values(), flows, strict=True):
         look = {"fmt": mark, "color": colour, "mfc": "none", "ms": 3.5, "elinewidth": 0.6}
         drawn.append(axes.errorbar(middle, mean, error, label=label, **look))
-    for number, (middle, mean, _) in enumerate(nets, 1):
-        colour = (style.VERMILION, style.SKY)[number - 1]
-        axes.plot(middle, mean, color=colour, lw=1.1, label=f"net current, channel {number}")
+    for (colour, label), (middle, mean, _) in zip(NET_LOOK.values(), nets, strict=True):
+        axes.plot(middle, mean, color=colour, lw=1.1, label=label)
     return drawn
 
 
@@ -191,7 +188,11 @@ def _draw_levels(axes: Axes, model: Model, levels: dict[str, float]) -> None:
     for name, level in levels.items():
         colour = FLOW_LOOK[name][1] if name in FLOW_LOOK else style.BLACK
         axes.axhline(level, color=colour, ls=model.dashes, lw=1.0, zorder=0.5)
-    axes.plot([], [], color=style.GREY, ls=model.dashes, lw=1.0, label=f"theory, {model.label}")
+    for colour, what in (
+        (style.GREY, "flows, coloured as their marks"),
+        (style.BLACK, "net currents"),
+    ):
+        axes.plot([], [], color=colour, ls=model.dashes, lw=1.0, label=f"{model.label}: {what}")
 
 
 def _break(upper: Axes, lower: Axes) -> None:

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
     from postproc.reading.points import Points
 
-SHOWN = 40  # particles of a run that are drawn
+SHOWN = 40  # particles of a run that are drawn, at most
 # wider than in the paper's runs, so that all lengths are visible
 EXAMPLE = Circuit(SHOWN, 7, channel1_width=0.5, channel1_length=1.2, channel2_width=0.2)
 URN = Circuit(SHOWN, 7, channel1_width=0.5, channel1_length=1.2, channel2_width=0.0, shape="urn")
@@ -52,28 +52,30 @@ def _measure(
         axes.text(middle, level - 0.05, text, ha="center", va="top")
 
 
-def figure_circuit(points: Points | None = None) -> Figure:
-    """Return the table, with some particles of the first snapshot if there are points."""
-    return _figure(points, EXAMPLE)
+def figure_circuit(points: Points | None = None, task: tuple[int, int] = (0, 0)) -> Figure:
+    """Return the table, with some particles of a task's first snapshot if there are points."""
+    return _figure(EXAMPLE, points, task)
 
 
-def figure_urn(points: Points | None = None) -> Figure:
+def figure_urn(points: Points | None = None, task: tuple[int, int] = (0, 0)) -> Figure:
     """Return the single urn of the appendix, with its gate and its end wall."""
-    return _figure(points, URN)
+    return _figure(URN, points, task)
 
 
 @style.settings()
-def _figure(points: Points | None, circuit: Circuit) -> Figure:
-    snapshot = None
-    if points is not None:
-        circuit, full = points.any_circuit(0), points.snapshot(*points.task(None, None), 0)
-        step = max(full.x.size // SHOWN, 1)
-        parts = (part[::step] for part in (full.x, full.y, full.ux, full.uy))
+def _figure(circuit: Circuit, points: Points | None, task: tuple[int, int]) -> Figure:
+    if points is None:
+        snapshot, said = example_snapshot(circuit), ""
+    else:
+        circuit, full = points.any_circuit(task[0]), points.snapshot(*task, 0)
+        step = -(-full.x.size // SHOWN)
+        parts = [part[::step] for part in (full.x, full.y, full.ux, full.uy)]
         snapshot = Snapshot(full.time, *parts)
-    snapshot = snapshot or example_snapshot(circuit)
+        said = f"{parts[0].size} of {full.x.size} particles"
     made = style.figure(style.PAGE if circuit.shape == "circuit" else style.COLUMN * 1.2, 2.9)
     made.set_layout_engine("none")  # the labels are outside of the axes
     axes = made.add_axes((0.03, 0.02, 0.94, 0.94))
+    axes.text(1.0, 1.0, said, transform=axes.transAxes, ha="right", va="top", fontsize=8)
     draw_table(axes, circuit)
     counted = counted_by(circuit, snapshot) > 0
     colour = np.where(counted, style.VERMILION, style.BLUE)

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from postproc.theory.model import Model
 
     Floats = NDArray[np.float64]
+    Keys = tuple[str, str]  # along the axes of a map
     Line = tuple[Floats, Floats, str, str]
 
 STARTS = ("urn1_number", "urn1_fraction")
@@ -46,7 +47,7 @@ def equals(name: str, value: float) -> str:
     return f"${SYMBOLS[name].strip('$')} = {value:.4g}$"
 
 
-def axes_of(keys: Sequence[str]) -> tuple[str, str]:
+def axes_of(keys: Sequence[str]) -> Keys:
     """Return the keys along the axes of maps, "" for none: T across and w' up, if scanned."""
     names = sorted((name for name in keys if name not in STARTS),
                    key=lambda name: (name not in THRESHOLDS, name == WIDTH))  # fmt: skip
@@ -54,30 +55,36 @@ def axes_of(keys: Sequence[str]) -> tuple[str, str]:
     return "".join(names[:1]), up
 
 
-def map_axes(points: Points) -> tuple[str, str]:
-    """Return the keys along the axes of a map, T and w' where less than two were scanned."""
-    scanned = [name for name in points.keys if name not in STARTS]
-    others = [name for name in ("threshold", WIDTH) if name not in scanned]
-    return axes_of([*scanned, *others[: max(2 - len(scanned), 0)]])
+def map_axes(points: Points) -> Keys:
+    """Return the keys along the axes of a map; raise `InputError` unless there are two."""
+    across, up = axes_of(list(points.keys))
+    if not up:
+        found = f"{across} alone was scanned" if across else "here is one point"
+    else:
+        places = set(zip(points.keys[across], points.keys[up], strict=True))
+        if any(len(set(one)) < len(places) for one in zip(*places, strict=True)):
+            return across, up
+        found = f"{across} and {up} change together"
+    raise cli.InputError(f"a map needs two keys, {found}: figure 'curves' shows it")
 
 
-def columns_of(points: Points) -> tuple[tuple[Floats, str], tuple[Floats, str]]:
+def columns_of(points: Points, keys: Keys) -> tuple[tuple[Floats, str], tuple[Floats, str]]:
     """Return the values along the axes of a map at each point, and their labels; T as T/N."""
     found = []
-    for name in map_axes(points):
-        values, label = points.keys.get(name, points.value(name)), SYMBOLS.get(name, name)
+    for name in keys:
+        values, label = points.column(name), SYMBOLS.get(name, name)
         if name == "threshold" and np.unique(points.number).size == 1:
             values, label = values / points.number, "$T/N$"
-        found.append((np.asarray(values, float), label))
+        found.append((values, label))
     return found[0], found[1]
 
 
-def grid(points: Points, values: Floats) -> tuple[Floats, Floats, Floats]:
+def grid(points: Points, keys: Keys, values: Floats) -> tuple[Floats, Floats, Floats]:
     """Return the values along x and y, and `values` as a map, shape (y, x), NaN without a point.
 
     Raises `InputError` if two points have the same place.
     """
-    (across, _), (up, _) = columns_of(points)
+    (across, _), (up, _) = columns_of(points, keys)
     x, columns = np.unique(across, return_inverse=True)
     y, rows = np.unique(up, return_inverse=True)
     filled = np.full((y.size, x.size), np.nan)
@@ -123,22 +130,32 @@ def tricritical_places(circuit: Circuit, models: Sequence[Model]) -> Floats:
     return np.reshape(found, (-1, 2)).T / [[float(circuit.number)], [1.0]]
 
 
-def of_theory(points: Points, models: Sequence[Model]) -> tuple[list[Line], Floats]:
-    """Return lines and tricritical points of theories over T/N and w'; none over other keys."""
-    across, up = map_axes(points)
-    if across not in THRESHOLDS or up != WIDTH or points.beyond_theory(0) or not models:
+def has_lines(keys: Keys) -> bool:
+    """Tell whether theories have lines over these keys: T and w'."""
+    return keys[0] in THRESHOLDS and keys[1] == WIDTH
+
+
+def of_theory(points: Points, keys: Keys, models: Sequence[Model]) -> tuple[list[Line], Floats]:
+    """Return lines and tricritical points of theories; raise `InputError` over other keys."""
+    if models and not has_lines(keys):
+        raise cli.InputError(
+            f"theories have lines over threshold and {WIDTH}, not over {' and '.join(keys)}"
+        )
+    if points.beyond_theory(0) or not models:
         return [], np.empty((2, 0))
     circuit = points.circuit(0)
     return transition_lines(points, circuit, models), tricritical_places(circuit, models)
 
 
-def draw_map(axes: Axes, points: Points, values: Floats, look: dict[str, object]) -> QuadMesh:
+def draw_map(
+    axes: Axes, points: Points, keys: Keys, values: Floats, look: dict[str, object]
+) -> QuadMesh:
     """Draw values at points as cells, grey where there is none; return matplotlib's mesh."""
-    x, y, filled = grid(points, values)
+    x, y, filled = grid(points, keys, values)
     axes.set_facecolor("#D0D0D0")
     mesh = axes.pcolormesh(edges(x), edges(y), np.ma.masked_invalid(filled), **look)
     mesh.set_rasterized(True)
-    (across, label_across), (up, label_up) = columns_of(points)
+    (across, label_across), (up, label_up) = columns_of(points, keys)
     axes.set(xlabel=label_across, ylabel=label_up, xlim=edges(np.unique(across))[[0, -1]])
     low, high = edges(np.unique(up))[[0, -1]]
     axes.set_ylim(max(low, 0.0), high)
@@ -146,13 +163,14 @@ def draw_map(axes: Axes, points: Points, values: Floats, look: dict[str, object]
 
 
 def draw_lines(axes: Axes, lines: Sequence[Line], marks: Floats) -> None:
-    """Draw lines and tricritical points of theories; the limits of the axes stay."""
+    """Draw lines, and tricritical points in the frame; the limits of the axes stay."""
     limits = axes.get_xlim(), axes.get_ylim()
     for fraction, widths, dashes, label in lines:
         axes.plot(fraction, widths, ls=dashes, label=f"transition, {label}", **style.on_map())
+    marks = marks[:, [axes.viewLim.contains(*one) for one in marks.T]]
     if marks.size:
         axes.scatter(*marks, s=26, marker="D", color=style.BLACK, edgecolors="white", lw=0.8,
-                     zorder=3, label="tricritical: a jump on the left")  # fmt: skip
+                     zorder=3, label=r"tricritical: left of it $\chi$ jumps")  # fmt: skip
     axes.set(xlim=limits[0], ylim=limits[1])
 
 
@@ -172,8 +190,10 @@ def figure_phase_diagram(points: Points, models: Sequence[Model] = ()) -> Figure
     The current is counted along the instantaneous polarity: one with a fixed sign would cancel if
     the polarity reverses in a run.
     """
-    points.need_only(*map_axes(points), "start")
-    lines, marks = of_theory(points, models or default(points))
+    keys = map_axes(points)
+    points.need_only(*keys, "start")
+    models = models or (default(points) if has_lines(keys) else ())
+    lines, marks = of_theory(points, keys, models)
     starts = by_start(points)
     rows = len(starts) + (len(starts) == 2)
     made = style.figure(style.PAGE, 0.5 + 2.35 * rows)
@@ -182,13 +202,13 @@ def figure_phase_diagram(points: Points, models: Sequence[Model] = ()) -> Figure
     for row, (name, part) in enumerate(starts):
         for axes, quantity in zip(panels[row], LOOKS, strict=True):
             values, label, look = values_of(part, quantity)
-            mesh = draw_map(axes, part, values, {"vmax": most, **look})
+            mesh = draw_map(axes, part, keys, values, {"vmax": most, **look})
             draw_lines(axes, lines, marks)
-            made.colorbar(mesh, ax=axes, label=label, pad=0.02)
-            axes.set_title(f"{name}")
+            made.colorbar(mesh, ax=axes, pad=0.02)
+            axes.set_title(f"{label}\n{name}")
             axes.label_outer()
     if len(starts) == 2:
-        _draw_differences(made, panels[-1], starts, lines, marks)
+        _draw_differences(made, panels[-1], keys, starts, lines, marks)
     handles, labels = panels[0, 0].get_legend_handles_labels()
     style.legend_above(made, handles, labels, 3, fontsize=7.5)
     return made
@@ -197,13 +217,14 @@ def figure_phase_diagram(points: Points, models: Sequence[Model] = ()) -> Figure
 def _draw_differences(
     made: Figure,
     panels: Sequence[Axes],
+    keys: Keys,
     starts: list[tuple[str, Points]],
     lines: Sequence[Line],
     marks: Floats,
 ) -> None:
     """Draw the result of the more polarised start minus that of the other."""
     (name, one), (other_name, other) = starts
-    places = [list(zip(part.threshold, part.channel2_width, strict=True)) for part in (one, other)]
+    places = [list(zip(*map(part.column, keys), strict=True)) for part in (one, other)]
     pairs = [(places[0].index(key), at) for at, key in enumerate(places[1]) if key in places[0]]
     if not pairs:
         raise cli.InputError("figure numris: the two starts have no point in common")
@@ -213,8 +234,8 @@ def _draw_differences(
         difference = values[second] - values_of(one, quantity)[0][first]
         most = max(float(np.nanmax(np.abs(difference), initial=0.0)), 1e-9)
         look = {"vmin": -most, "vmax": most, "cmap": "PuOr"}
-        mesh = draw_map(axes, other.where(second), difference, look)
+        mesh = draw_map(axes, other.where(second), keys, difference, look)
         draw_lines(axes, lines, marks)
-        made.colorbar(mesh, ax=axes, label=f"difference of\n{label}", pad=0.02)
-        axes.set_title(f"{other_name} less {name}")
+        made.colorbar(mesh, ax=axes, pad=0.02)
+        axes.set_title(f"{label}\n{other_name} less {name}")
         axes.label_outer()

@@ -80,7 +80,6 @@ class Plane:
 
 def planes_of(points: Points) -> list[Plane]:
     """Return the planes of points, one for each other key; an error if there is none."""
-    points.need_tasks()
     names = [name for name in points.keys if name in KEYS]
     if len(names) > 2:
         raise InputError("figure one_channel: more than two of l, w, r and T vary: select")

@@ -10,14 +10,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from itertools import product
 from typing import TYPE_CHECKING
 
 import numpy as np
-from matplotlib.ticker import MaxNLocator
 from scipy import stats
 
-from postproc.cli import InputError
 from postproc.figures import style
 from postproc.figures.theories import default
 
@@ -126,26 +123,31 @@ def measured(points: Points) -> list[Lifetime]:
 def table(found: Sequence[Lifetime], models: Sequence[Model]) -> str:
     """Return the lifetimes and those of the chains as text, a line for each point."""
     head = f"{'T':>2s} {'l':>4s} {'N':>5s} {'from':>11s} {'left':>7s} {'lifetime':>9s} "
-    lines = [head + f"{'(68 %)':>20s}" + "".join(f"  {model.label}" for model in models)]
+    lines = [head + f"{'68 %':>21s}" + "".join(f"  {model.label}" for model in models)]
     for one in found:
         circuit = one.circuit
         left = f"{one.passages}/{one.replicas}"
-        error = f"{one.low:9.3g} -{one.high:9.3g}" if one.passages else "(at least)"
-        chains = "".join(f"  {one.of_chain(model):{len(model.label)}.3g}" for model in models)
+        error = f"{_short(one.low)} to {_short(one.high)}" if one.passages else "at least"
+        chains = "".join(
+            f"  {_short(one.of_chain(model)):>{len(model.label)}s}" for model in models
+        )
         lines.append(
             f"{circuit.threshold:2d} {circuit.channel1_length:4g} {circuit.number:5d} "
             f"{'polarised' if one.polarised else 'homogeneous':>11s} {left:>7s} "
-            f"{one.time:9.3g} {error:>20s}{chains}"
+            f"{_short(one.time):>9s} {error:>21s}{chains}"
         )
     return "\n".join(lines)
+
+
+def _short(time: float) -> str:
+    """Return a time to three digits, below a million without exponent."""
+    return f"{float(f'{time:.3g}'):.6g}"
 
 
 @style.settings()
 def figure_lifetimes(points: Points, models: Sequence[Model] = ()) -> Figure:
     """Return lifetimes against N, a panel for each T and l: marks measured, lines the chains."""
     found = measured(points)
-    if not found:
-        raise InputError("figure lifetimes: no run is complete")
     models = models or default(points)
     print(table(found, models))
     panels: dict[tuple[int, float], list[Lifetime]] = {}
@@ -167,10 +169,21 @@ def draw_lifetimes(
 ) -> list[ErrorbarContainer]:
     """Draw lifetimes of one T and l against N; return what was measured."""
     drawn = []
-    for polarised, mark, colour in ((False, "s", style.BLUE), (True, "o", style.VERMILION)):
+    states = ((False, "s", style.BLUE, "homogeneous"), (True, "o", style.VERMILION, "polarised"))
+    for row, (polarised, mark, colour, name) in enumerate(states):
         part = sorted((one for one in group if one.polarised == polarised), key=_by_number)
+        of_chains = part or sorted(
+            (replace(one, polarised=polarised) for one in group), key=_by_number
+        )
+        beyond = _draw_chains(axes, of_chains, models, colour)
+        said = [] if part else ["no runs"]
+        if beyond:
+            which = "all chains" if len(beyond) == len(models) else ", ".join(beyond)
+            said.append(f"{which} above $10^{{{math.log10(DRAWN[1]):.0f}}}$")
+        if said:
+            axes.text(0.03, 0.97 - 0.06 * row, f"{name}: {', '.join(said)}", va="top",
+                      transform=axes.transAxes, color=colour, fontsize=7)  # fmt: skip
         if not part:
-            _draw_unmeasured(axes, group, polarised, models, colour)
             continue
         left = [one for one in part if one.passages]
         stayed = [one for one in part if not one.passages]
@@ -185,39 +198,33 @@ def draw_lifetimes(
         axes.plot(
             [one.number for one in stayed], [one.time for one in stayed], "^", color=colour, mfc="w"
         )
-        widths = {float(one.circuit.channel2_width) for one in part}
-        for width, model in product(sorted(widths), models):
-            line = [one for one in part if float(one.circuit.channel2_width) == width]
-            times = [one.of_chain(model) for one in line]
-            numbers = [one.number for one in line]
-            axes.plot(numbers, times, color=colour, ls=model.dashes, lw=0.9)
     least = min(one.time for one in group)
     axes.set(xlabel="$N$", yscale="log", ylabel="lifetime  (length / $v$)")
     axes.set_ylim(min(DRAWN[0], 0.5 * least) or DRAWN[0], DRAWN[1])
-    axes.xaxis.set_major_locator(MaxNLocator(4, steps=(1, 2, 5, 10)))
+    style.ticks_at(axes, (one.number for one in group))
     _explain(axes, models)
     return drawn
 
 
-def _draw_unmeasured(
-    axes: Axes, group: Sequence[Lifetime], polarised: bool, models: Sequence[Model], colour: str
-) -> None:
-    """Draw the chains of a state without runs, with a remark, and those beyond the axis."""
-    others = sorted((replace(one, polarised=polarised) for one in group), key=_by_number)
+def _draw_chains(
+    axes: Axes, part: Sequence[Lifetime], models: Sequence[Model], colour: str
+) -> list[str]:
+    """Draw the chains of a state, of one N from edge to edge; return which are above the axis."""
     beyond = []
     for model in models:
-        times = np.array([one.of_chain(model) for one in others])
-        axes.plot([one.number for one in others], times, color=colour, ls=model.dashes, lw=0.9)
-        if np.all(times > DRAWN[1]):
+        times = {}
+        for one in part:
+            at_width = times.setdefault(float(one.circuit.channel2_width), {})
+            at_width[one.number] = one.of_chain(model)
+        look = {"color": colour, "ls": model.dashes, "lw": 0.9}
+        for line in times.values():
+            if len(line) > 1:
+                axes.plot([*line], [*line.values()], **look)
+            else:
+                axes.axhline(*line.values(), **look)
+        if all(one > DRAWN[1] for line in times.values() for one in line.values()):
             beyond.append(model.label)
-    name = "polarised" if polarised else "homogeneous"
-    said = [f"{name}: no runs"]
-    if beyond:
-        power = f"$10^{{{math.log10(DRAWN[1]):.0f}}}$"
-        which = "all chains" if len(beyond) == len(models) else ", ".join(beyond)
-        said.append(f"{which}: above {power}")
-    axes.text(0.03, 0.97, "\n".join(said), transform=axes.transAxes, va="top", color=colour,
-              fontsize=7)  # fmt: skip
+    return beyond
 
 
 def _explain(axes: Axes, models: Sequence[Model]) -> None:

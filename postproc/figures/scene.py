@@ -148,35 +148,44 @@ def _kinds(circuit: Circuit, snapshot: Snapshot) -> list[tuple[NDArray[np.bool_]
     """Return which particles are of a kind, its colour and name, and whether a gate counts them."""
     gate, left = counted_by(circuit, snapshot), snapshot.x < 0.0
     free, nearer = gate == 0, (gate > 0) & (gate == next_gate(circuit, snapshot))
-    kinds = [
+    if circuit.shape != "circuit":
+        return [
+            (free, style.SKY, "not counted", False),
+            (~free, style.ORANGE, "counted by the gate", True),
+        ]
+    return [
         (free & left, style.SKY, "half 1", False),
         (free & ~left, style.GREEN, "half 2", False),
-        (~free & ~nearer, style.ORANGE, "counted: heads for the other gate", True),
-        (nearer, style.VERMILION, "counted, in the gate nearer to a reversal", True),
+        (~free & ~nearer, style.ORANGE, "counted by a gate", True),
+        (nearer, style.VERMILION, "counted by the gate closer to $T$", True),
     ]
-    return [kind for kind in kinds if kind[2] != "half 2" or circuit.shape == "circuit"]
 
 
 def draw_particles(
-    axes: Axes, circuit: Circuit, snapshot: Snapshot, size: float = 3.0
+    axes: Axes, circuit: Circuit, snapshot: Snapshot, size: float = 3.0, counted_size: float = 27.0
 ) -> list[PathCollection]:
-    """Draw the particles as dots, the counted ones larger and ringed.
+    """Draw the particles as dots, the counted ones larger and ringed; sizes are of their area.
 
     Return a collection for each kind of particles, with its label.
     """
     return [
         axes.scatter(
-            snapshot.x[which], snapshot.y[which], s=4 * size if counted else size, c=colour,
+            snapshot.x[which], snapshot.y[which], s=counted_size if counted else size, c=colour,
             label=label, ec=style.BLACK if counted else "none", lw=0.4, zorder=3 + counted,
         )
         for which, colour, label, counted in _kinds(circuit, snapshot)
     ]  # fmt: skip
 
 
+def explain(axes: Axes) -> None:
+    """Name the colours of particles below the table."""
+    style.legend_below(axes, 4, handletextpad=0.2, fontsize=7, frameon=False)
+
+
 def _draw_channel(axes: Axes, circuit: Circuit, snapshot: Snapshot) -> None:
     """Draw channel 1 enlarged, with the velocities as arrows."""
     draw_table(axes, circuit)
-    draw_particles(axes, circuit, snapshot, size=9.0)
+    draw_particles(axes, circuit, snapshot, 9.0, 45.0)
     reach, half1 = 0.5 * circuit.channel1_length, 0.5 * circuit.channel1_width
     near = (np.abs(snapshot.x) <= 1.25 * reach) & (np.abs(snapshot.y) <= 1.5 * half1)
     for which, colour, _, _ in _kinds(circuit, snapshot):
@@ -224,7 +233,6 @@ def picture_of(circuit: Circuit, snapshot: Snapshot) -> Figure:
     texts = _count_text(circuit, snapshot)
     for text, where in zip(texts, ("left", "right"), strict=False):
         channel.set_title(text, loc=where, fontsize=8)
-    handles, labels = whole.get_legend_handles_labels()
-    look = {"ncols": 4, "handletextpad": 0.2, "markerscale": 1.4}
-    made.legend(handles, labels, loc="outside lower center", **look)
+    look = {"ncols": 4, "handletextpad": 0.2}
+    made.legend(*whole.get_legend_handles_labels(), loc="outside lower center", **look)
     return made

@@ -18,7 +18,7 @@ from matplotlib.ticker import MaxNLocator
 from postproc.cli import InputError, file_to_write, output_folder
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterable, Sequence
     from contextlib import AbstractContextManager
     from pathlib import Path
 
@@ -49,6 +49,7 @@ CYCLE = (BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY)
 COLUMN = 3.4  # width of one column of the journal, inches
 PAGE = 7.0  # width of both columns, inches
 RESOLUTION = 200  # dots per inch of the PNG
+TICKS = 0.08  # of their range, least distance between ticks at given values
 
 SETTINGS = {
     "font.family": "DejaVu Sans",
@@ -98,7 +99,8 @@ def figure(width: float = PAGE, height: float = 3.2) -> Figure:
 
 def on_map(colour: str = BLACK, width: float = 1.2) -> dict[str, object]:
     """Return the style of a line that is visible on any colour of a map, and in a legend."""
-    border = [Stroke(linewidth=width + 0.9, foreground="white"), Normal()]
+    solid = {"dash_offset": 0.0, "dash_list": None}
+    border = [Stroke(linewidth=width + 1.8, foreground="white", dashes=solid), Normal()]
     return {"color": colour, "lw": width, "path_effects": border}
 
 
@@ -107,6 +109,16 @@ def bound(axes: Axes, x: float, y: float, mark: str, colour: str, size: float = 
     axes.plot([x], [y], mark, color=colour, mfc="none", ms=size)
     axes.annotate("", (x, y), (0, -15), textcoords="offset points",
                   arrowprops={"arrowstyle": "<-", "color": colour})  # fmt: skip
+
+
+def ticks_at(axes: Axes, values: Iterable[float]) -> None:
+    """Put ticks of the horizontal axis at values, but at none that is too near to the last one."""
+    known = sorted(values)
+    kept = known[:1]
+    for value in known[1:]:
+        if value - kept[-1] > TICKS * (known[-1] - known[0]):
+            kept.append(value)
+    axes.set_xticks(kept)
 
 
 def label_fraction(axes: Axes) -> None:
@@ -119,10 +131,22 @@ def legend_above(
     made: Figure, handles: Sequence[Artist], labels: Sequence[str], columns: int, **look: object
 ) -> None:
     """Put a legend above the panels, in at most that many columns, so that it is not cut."""
+    _fitted_legend(made, handles, labels, columns, loc="outside upper center", **look)
+
+
+def legend_below(axes: Axes, columns: int, **look: object) -> None:
+    """Put a legend below the axes, in at most that many columns, not wider than they are."""
+    place = {"loc": "upper center", "bbox_to_anchor": (0.5, 0.0)}
+    _fitted_legend(axes, *axes.get_legend_handles_labels(), columns, **place, **look)
+
+
+def _fitted_legend(
+    owner: Figure | Axes, handles: Sequence[Artist], labels: Sequence[str], columns: int,
+    **look: object,
+) -> None:  # fmt: skip
     for count in range(columns, 0, -1):
-        legend = made.legend(handles, labels, loc="outside upper center", ncols=count, **look)
-        width = legend.get_window_extent(made.canvas.get_renderer()).width
-        if width <= made.bbox.width or count == 1:
+        legend = owner.legend(handles, labels, ncols=count, **look)
+        if legend.get_window_extent().width <= owner.bbox.width or count == 1:
             return
         legend.remove()
 

@@ -2,27 +2,17 @@
 
 from __future__ import annotations
 
-import math
-from dataclasses import replace
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from postproc.cli import InputError
-from postproc.progress import each
 from postproc.theory.models import FEW, MODELS, defaults, named
 
 if TYPE_CHECKING:
     import argparse
     from collections.abc import Sequence
 
-    from numpy.typing import NDArray
-
     from postproc.reading.points import Points
-    from postproc.theory.circuit import Circuit
     from postproc.theory.model import Model
-
-    Floats = NDArray[np.float64]
 
 
 def default(points: Points) -> tuple[Model, ...]:
@@ -54,17 +44,3 @@ def add_models(options: argparse.ArgumentParser) -> None:
         help=f"theories to draw: {', '.join(MODELS)} (default: window and direction, which takes "
         f"two seconds a point; window and renewal for more than {FEW} points, and polygons)",
     )
-
-
-def spread_and_current(
-    model: Model, circuit: Circuit, thresholds: Sequence[int]
-) -> tuple[Floats, Floats]:
-    """Return chi and net current of the stable polarised state at each T, NaN without one."""
-    states = [model.stable_state(replace(circuit, threshold=int(one)))
-              for one in each(thresholds, f"states, {model.label}, threshold")]  # fmt: skip
-    found = [
-        (math.nan, math.nan) if one is None else (one.mass_spread, one.net_current)
-        for one in states
-    ]
-    spread, current = np.reshape(found, (-1, 2)).T
-    return spread, current

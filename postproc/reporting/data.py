@@ -27,7 +27,10 @@ if TYPE_CHECKING:
     Floats = NDArray[np.float64]
     Columns = dict[str, NDArray[np.generic]]
 
-SYMBOLS = {"number": "N", "threshold": "T", "channel1_width": "w", "channel2_width": "w'"}
+SYMBOLS = {
+    "number": "N", "threshold": "T", "threshold_fraction": "T/N", "channel1_width": "w",
+    "channel1_length": "l", "channel2_width": "w'", "channel2_length": "l'", "urn_radius": "r",
+}  # fmt: skip
 MEASURED = {"chi": "mass spread chi", "current": "polarised current"}
 SAMPLES = (20, 300)  # least and most samples of a series on the page
 ROOM = 250_000  # samples of all series together

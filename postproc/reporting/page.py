@@ -316,7 +316,7 @@ WIDTH_OF_NUMBER, WIDTH_OF_LETTER = 84, 7  # pixels, in a table
 # Widths of the table of replicas: the sum fits on a telephone.
 WIDTHS = {"replica": 48, "chi": 94, "current": 98, "collisions": 62, "seconds": 54}
 INKED = ("axis_label_text", "major_label_text", "axis_line", "major_tick_line", "minor_tick_line")
-SERIES = {"spread": "(N1 - N2)/N", "current": "net current of channel 1"}
+SERIES = {"spread": "(N1 - N2)/N", "current": "net current of channel 1, urn 1 to urn 2"}
 
 
 def _table(

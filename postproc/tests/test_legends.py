@@ -31,7 +31,8 @@ DRAWN = {
     "one_channel": (one_channel.figure_one_channel, "plane", one_channel.PAIR),
 }
 NARROWEST = {
-    "point": ("comp05", "comp06", "comp01", "characteristic", "numris", "lifetimes"),
+    "point": ("comp05", "comp06", "comp01", "characteristic", "lifetimes"),
+    "circuit": ("numris",),
     "urn_point": ("app2", "app3", "app4"),
     "plane": ("one_channel",),
 }

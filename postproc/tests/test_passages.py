@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from postproc.figures import passages
+from postproc.figures import passages, style
 from postproc.figures.theories import named
 from postproc.tests.runs import FORGETFUL, points_of, results_of
 from postproc.theory.models import MODELS
@@ -41,6 +41,28 @@ def test_lifetimes_are_measured_and_drawn(
         times = [one.time for one in found if one.polarised == life.polarised]
         assert ("o" if life.polarised else "^", (500.0, 1000.0), tuple(times)) in drawn
     assert len(made.legends[0].get_texts()) == 5
+
+
+def test_at_one_number_of_particles_theories_are_seen_or_said_to_be_above(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    scan = {"threshold": 18, "urn1_fraction": 1.0, "replicas": 2}
+    path = results_of(tmp_path / "run.h5", particles={"number": 500}, scan=scan)
+    models = named(["window"])
+    (axes,) = passages.figure_lifetimes(points_of(path), models).axes
+    (life,) = passages.measured(points_of(path))
+    line = next(one for one in axes.lines if one.get_linestyle() == "--"
+                and one.get_color() == style.VERMILION)  # fmt: skip
+    assert line.get_xdata() == [0, 1]  # from edge to edge
+    assert line.get_ydata() == pytest.approx([life.of_chain(models[0])] * 2)
+    (text,) = axes.texts
+    assert text.get_text() == "homogeneous: no runs, all chains above $10^{10}$"
+    assert axes.get_xticks().tolist() == [500]
+    low, high = (passages._short(one) for one in (life.low, life.high))
+    assert f" {low} to {high} " in capsys.readouterr().out
+    assert [passages._short(one) for one in (1474.0, 93.26, 1.284e15)] == [
+        "1470", "93.3", "1.28e+15",
+    ]  # fmt: skip
 
 
 def test_lifetimes_of_runs_that_end_too_early_are_not_too_short() -> None:

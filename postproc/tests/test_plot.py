@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import inspect
 import math
+import pydoc
 from typing import TYPE_CHECKING
 
 import h5py
@@ -81,15 +83,133 @@ def test_points_that_a_figure_cannot_show_are_named_with_a_way_to_choose(
     for draw in (plot.flows, plot.scene):
         with pytest.raises(InputError, match=r"data.sel\(threshold=2\)"):
             draw(data, ax=Figure().add_subplot())
-    words = ["scene", str(folder / "map.h5"), "--output", str(tmp_path)]
-    assert call("plot", words) == 2
-    assert "--select threshold=2 or" in capsys.readouterr().err
-    assert call("plot", [*words, "--select", "threshold=2", "channel2_width=0.01"]) == 0
+    for name in ("scene", "circuit"):
+        words = [name, str(folder / "map.h5"), "--output", str(tmp_path)]
+        assert call("plot", words) == 2
+        assert "--select threshold=2 or" in capsys.readouterr().err
+        assert call("plot", [*words, "--select", "threshold=2", "channel2_width=0.01"]) == 0
     with pytest.raises(InputError, match="no theory 'widow'"):
         plot.curves(data, ax=Figure().add_subplot(), theory="widow")
+    with pytest.raises(InputError, match=r"data.sel\(threshold=2\)"):
+        plot.characteristic(data, ax=Figure().add_subplot())
     for draw in (plot.phase_diagram, plot.curves, plot.relaxation):
         with pytest.raises(InputError, match=r"no (variable )?'widow'"):
             draw(data.sel(channel2_width=0.01), ax=Figure().add_subplot(), variable="widow")
+
+
+def test_a_map_is_of_two_keys_and_has_the_lines_that_are_asked_for(
+    folder: Path, tmp_path: Path
+) -> None:
+    data = postproc.open_results(folder / "map.h5")
+    scan = {"number": [200, 400], "threshold": None, "replicas": 1}
+    at_fixed = {"scan": scan, "gate": {"threshold_fraction": 0.01}, "particles": {"number": None}}
+    by_number = postproc.open_results(
+        results_of(tmp_path / "sizes.h5", run=SHORT, output=BARE, **at_fixed)
+    )
+    for one, said in (
+        (data.sel(channel2_width=0.01), "threshold alone was scanned"),
+        (data.sel(channel2_width=0.01, threshold=2), "here is one point"),
+        (by_number, "number alone was scanned"),
+        (postproc.merge([folder / "seed1.h5", tmp_path / "sizes.h5"]).isel(point=[0, 3]),
+         "threshold and number change together"),
+    ):  # fmt: skip
+        with pytest.raises(InputError, match=f"{said}: figure 'curves' shows it"):
+            plot.phase_diagram(one, ax=Figure().add_subplot())
+    scan |= {"threshold_fraction": [0.01, 0.02]}
+    other = postproc.open_results(
+        results_of(tmp_path / "fractions.h5", run=SHORT, output=BARE, scan=scan,
+                   particles={"number": None})
+    )  # fmt: skip
+    assert plot.phase_diagram(other, ax=Figure().add_subplot()).get_array().count() == 4
+    with pytest.raises(InputError, match="theories have lines over threshold and channel2_width"):
+        plot.phase_diagram(other, ax=Figure().add_subplot(), theory="window")
+
+
+def test_between_the_points_of_a_width_a_theory_is_computed(folder: Path) -> None:
+    data = postproc.open_results(folder / "map.h5", theory="window").sel(threshold=2)
+    axes = Figure().add_subplot()
+    (measured,) = plot.curves(data, ax=axes, variable="chi", theory="window")
+    (line,) = (one for one in axes.lines if one.get_linestyle() == "--" and len(one.get_xdata()))
+    widths, chi = line.get_data()
+    assert len(widths) > 50
+    at = np.searchsorted(widths, data.channel2_width)
+    assert chi[at] == pytest.approx(data.theory_chi.values)
+    handles, labels = axes.get_legend_handles_labels()
+    assert labels == ["measured", "theory, window (the paper's)"]
+    assert handles[1].lines[0].get_color() == line.get_color() == measured.lines[0].get_color()
+
+
+def test_numbers_of_particles_have_their_ticks_and_theories_marks(tmp_path: Path) -> None:
+    scan = {"number": [200, 210, 400], "threshold": None, "replicas": 1}
+    path = results_of(tmp_path / "sizes.h5", run=SHORT, output=BARE, scan=scan,
+                      particles={"number": None}, gate={"threshold_fraction": 0.01})  # fmt: skip
+    data, axes = postproc.open_results(path, theory="window"), Figure().add_subplot()
+    plot.curves(data, ax=axes, theory="window")
+    assert axes.get_xticks().tolist() == [200, 400]  # two labels would touch
+    marks = next(line for line in axes.lines if line.get_marker() == circuits.THEORY_MARKS[0])
+    assert marks.get_linestyle() == "None"
+    assert marks.get_ydata() == pytest.approx(data.theory_polarised_current.values)
+
+
+@pytest.mark.parametrize(("high", "named"), [(0.1, 1), (0.05, 0)])
+def test_a_tricritical_point_is_named_where_it_is_in_the_frame(high: float, named: int) -> None:
+    axes = Figure().add_subplot()
+    axes.set(xlim=(0.0, 0.02), ylim=(0.0, high))
+    maps.draw_lines(axes, [], np.array([[0.0071, 0.0084], [0.083, 0.155]]))
+    assert len(axes.get_legend_handles_labels()[1]) == len(axes.collections) == named
+
+
+FIGURES = ["flows", "scene", "lifetimes", "phase_diagram", "curves", "relaxation", "characteristic",
+           "circuit", "one_channel"]  # fmt: skip
+
+
+def test_without_a_complete_task_every_figure_says_so(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = results_of(tmp_path / "none.h5", scan={"threshold": [2, 4], "replicas": 1}, **SMALL)
+    leave_out(path, (0, 0), (1, 0))
+    data, said = postproc.open_results(path), "none.h5: no task is complete yet"
+    for name in plot.__all__:
+        with pytest.raises(InputError, match=said):
+            getattr(plot, name)(data, ax=Figure().add_subplot())
+    for name in FIGURES:
+        assert call("plot", [name, str(path), "--output", str(tmp_path)]) == 2, name
+        assert said in capsys.readouterr().err
+    assert call("report", [str(path), "--output", str(tmp_path)]) == 2
+    assert said in capsys.readouterr().err
+    assert not list(tmp_path.glob("*.p*"))
+
+
+def test_the_legend_of_a_scene_leaves_its_table_free(folder: Path) -> None:
+    data = postproc.open_results(folder / "map.h5").sel(channel2_width=0.01, threshold=2)
+    axes = Figure(figsize=(5.0, 3.0)).add_subplot()
+    drawn = plot.scene(data, ax=axes)
+    axes.figure.draw_without_rendering()
+    box = axes.get_legend().get_window_extent()
+    assert box.y1 <= axes.get_window_extent().y0
+    assert axes.figure.bbox.x0 <= box.x0 <= box.x1 <= axes.figure.bbox.x1
+    free, counted = (drawn[at].get_sizes()[0] for at in (0, -1))
+    assert counted >= 9 * free
+    other = Figure().add_subplot()
+    plot.scene(data, ax=other, legend=False)
+    assert other.get_legend() is None
+
+
+def test_eta_has_a_unit_and_its_help_no_label_of_a_manuscript() -> None:
+    axes = Figure().add_subplot()
+    circuit = postproc.Circuit(number=1000, threshold=7)
+    circuit.plot_eta(ax=axes)
+    assert axes.get_ylabel() == "$\\eta$, gain of urn 2\n(particles per unit time)"
+    for public in (postproc.Circuit, type(circuit.states()[0])):
+        assert "eq. (" not in pydoc.render_doc(public)
+
+
+def test_help_describes_every_argument() -> None:
+    for name in plot.__all__:
+        draw = getattr(plot, name)
+        told = draw.__doc__
+        assert "above" not in told
+        assert all(f"\n    {one}\n" in told for one in inspect.signature(draw).parameters), name
 
 
 def test_voltage_of_a_battery_whose_full_urn_returns_all_is_that_of_the_widths() -> None:

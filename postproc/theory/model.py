@@ -215,8 +215,8 @@ class Model:
     def levels(self, circuit: Circuit, number2: float) -> dict[str, float]:
         """Return flows and net current (per unit time) of the stable state nearest to `number2`.
 
-        By name: flow1_12 ... flow2_21 as in results, and "net", the absolute net current of channel
-        2. Circulation is included: it goes from the fuller urn through channel 2.
+        By name, as in results: flow1_12 ... flow2_21, current1 and current2, which are opposite.
+        Circulation is included: it goes from the fuller urn through channel 2.
         """
         own, second = self.of(circuit), self.nearest_stable(circuit, number2)
         carried = self.theory.flows or _carried
@@ -238,7 +238,8 @@ class Model:
             for channel in (1, 2)
             for at, way in enumerate(("12", "21"))
         }
-        return {**found, "net": float(abs(flows[1, 0] - flows[1, 1]))}
+        current2 = found["flow2_12"] - found["flow2_21"]
+        return {**found, "current1": -current2, "current2": current2}
 
     def transition_line(self, circuit: Circuit, first: int, last: int) -> tuple[Floats, Floats]:
         """Return (T, w') along the line of transition, eq. (transition), from one T to another.

@@ -45,7 +45,7 @@ class State:
     ----------
     urn2_number : N2.
     kind : "stable" or "unstable".
-    mass_spread : chi = |N1 - N2|/N, eq. (mass).
+    mass_spread : chi = |N1 - N2|/N.
     net_current : of channel 1 from urn 1 to urn 2, and back through channel 2 (per unit time), in a
         run of the circuit's age.
     circulating_current : the part of circulating particles, which have no wall hit in an urn; None
