@@ -462,7 +462,8 @@ contains
     end do
     ! The corner is too narrow for the step: put the particle on the nearest side.
     side = nearest_side(polygon, x, y)
-    call project_on_side(polygon, side, x, y)
+    call locate_on_outline(polygon, polygon%arc_start(side) + distance_along_side(polygon, side, x, &
+      y), side, x, y)
   end subroutine reflect_overshoot_in_polygon
 
   !> Side through which a particle left the polygon that a time step has moved out of it: where its
@@ -489,18 +490,6 @@ contains
       latest = time
     end do
   end function last_crossed_side
-
-  !> Moves a point to the nearest point of a side.
-  pure subroutine project_on_side(polygon, side, x, y)
-    type(polygon_type), intent(in) :: polygon
-    integer, intent(in) :: side
-    real(wp), intent(inout) :: x, y
-    real(wp) :: along
-
-    along = distance_along_side(polygon, side, x, y)
-    x = polygon%x(side) - along*polygon%normal_y(side)
-    y = polygon%y(side) + along*polygon%normal_x(side)
-  end subroutine project_on_side
 
   !> Distance along a side from its first corner to the projection of a point, between 0 and its
   !> length.

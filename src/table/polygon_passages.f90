@@ -41,6 +41,8 @@ contains
     type(polygon_type), intent(in) :: polygon
     type(visits_type), intent(inout) :: visits
     real(wp) :: corner(2, 0:padded(polygon)), side(4, padded(polygon))
+    type(boundary_state_type) :: state
+    integer(int64) :: ending
     integer :: active, n, j, round
 
     call list_sides(polygon, padded(polygon), corner, side)
@@ -59,7 +61,13 @@ contains
       call compact_active(polygon, active, visits)
     end do
     do j = 1, active
-      call finish_single_visit(polygon, visits, j)
+      call continue_alone(polygon, huge(1.0_wp), visits%px(j), visits%py(j), visits%zx(j), &
+        visits%zy(j), visits%first(j), visits%steps(j), state, ending)
+      if (ending == channel1) then
+        call store_exit(polygon, visits, j)
+      else
+        call store_truncated(visits, j, state, ending)
+      end if
     end do
     visits%all_hits = sum(int(visits%hits(:visits%count), int64))
   end subroutine compute_polygon_passages
@@ -367,24 +375,6 @@ contains
     visits%many_hits_count = visits%many_hits_count + 1
     visits%many_hits_index(visits%many_hits_count) = which
   end subroutine list_visit_with_many_hits
-
-  !> Continues a visit of very many hits alone, until it ends, its boundary state recurs, or a part
-  !> of it is complete.
-  pure subroutine finish_single_visit(polygon, visits, j)
-    type(polygon_type), intent(in) :: polygon
-    type(visits_type), intent(inout) :: visits
-    integer, intent(in) :: j
-    type(boundary_state_type) :: state
-    integer(int64) :: ending
-
-    call continue_alone(polygon, huge(1.0_wp), visits%px(j), visits%py(j), visits%zx(j), &
-      visits%zy(j), visits%first(j), visits%steps(j), state, ending)
-    if (ending == channel1) then
-      call store_exit(polygon, visits, j)
-    else
-      call store_truncated(visits, j, state, ending)
-    end if
-  end subroutine finish_single_visit
 
   !> Moves a particle from side to side until it reaches an opening, its boundary state recurs, or a
   !> part is complete; at most until its path is `longest` long. The states after 1, 2, 4, ... hits
