@@ -43,10 +43,8 @@ contains
     real(wp) :: strip
 
     strip = unfolded/width
-    hits = aint(abs(strip) + 0.5_wp)
-    ! Who is on a wall has not been reflected there yet: a path may begin on it.
-    if (hits - abs(strip) >= 0.5_wp) hits = hits - 1.0_wp
-    strip = sign(hits, strip)
+    strip = aint(strip + sign(0.5_wp, strip))
+    hits = abs(strip)
     reflected = 1.0_wp - 2.0_wp*abs(strip - 2.0_wp*aint(0.5_wp*strip))
     height = reflected*(unfolded - strip*width)
     height = sign(min(abs(height), 0.5_wp*width), height)

@@ -366,7 +366,8 @@ contains
     end if
   end subroutine search_opening
 
-  !> Traces each visit back from its impact in an opening to the chord.
+  !> Traces each visit back from its impact in an opening to the chord: to a point inside the walls
+  !> of the channel, or a passage that begins there would be taken for one that has hit a wall.
   pure subroutine find_exits(n, disc, c, s, hit_x, hit_y, impacts, first, channel, x, y, u_axial, &
     u_lateral, length, through)
     integer, intent(in) :: n
@@ -375,10 +376,11 @@ contains
     integer(int64), intent(out) :: channel(n)
     real(wp), intent(out) :: x(n), y(n), u_axial(n), u_lateral(n), length(n), through(n)
     real(wp) :: norm, qx, qy, ux, uy, back, half_opening, chord, direction, height, forward
-    real(wp) :: radius, half_opening1, half_opening2, chord1, chord2, length1, length2
+    real(wp) :: radius, inside, half_opening1, half_opening2, chord1, chord2, length1, length2
     integer :: j
 
     radius = disc%radius
+    inside = (1.0_wp - 2.0_wp*epsilon(1.0_wp))*radius
     half_opening1 = disc%half_opening(channel1)
     half_opening2 = disc%half_opening(channel2)
     chord1 = disc%chord(channel1)
@@ -403,7 +405,7 @@ contains
       channel(j) = merge(int(channel1, int64), int(channel2, int64), qx > 0.0_wp)
       x(j) = direction*chord
       height = radius*qy - back*uy
-      y(j) = sign(min(abs(height), half_opening*radius), height)
+      y(j) = sign(min(abs(height), half_opening*inside), height)
       u_axial(j) = ux
       u_lateral(j) = uy
       length(j) = first(j) + 2.0_wp*radius*c(j)*impacts(j) - back

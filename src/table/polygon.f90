@@ -462,8 +462,8 @@ contains
     end do
     ! The corner is too narrow for the step: put the particle on the nearest side.
     side = nearest_side(polygon, x, y)
-    call locate_on_outline(polygon, polygon%arc_start(side) + distance_along_side(polygon, side, x, &
-      y), side, x, y)
+    call locate_on_outline(polygon, polygon%arc_start(side) &
+      + distance_along_side(polygon, side, x, y), side, x, y)
   end subroutine reflect_overshoot_in_polygon
 
   !> Side through which a particle left the polygon that a time step has moved out of it: where its

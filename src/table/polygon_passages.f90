@@ -345,7 +345,8 @@ contains
     active = kept
   end subroutine compact_active
 
-  !> Stores the end of a visit: the particle is in an opening, with a velocity that points outwards.
+  !> Stores the end of a visit: the particle is in an opening, with a velocity that points outwards,
+  !> and inside the walls of the channel, also where rounding has put it on one.
   pure subroutine store_exit(polygon, visits, j)
     type(polygon_type), intent(in) :: polygon
     type(visits_type), intent(inout) :: visits
@@ -356,7 +357,8 @@ contains
     channel = merge(channel1, channel2, visits%zx(j) > 0.0_wp)
     visits%channel(mine) = channel
     visits%x(mine) = visits%px(j)
-    visits%y(mine) = visits%py(j)
+    visits%y(mine) = sign(min(abs(visits%py(j)), (0.5_wp - epsilon(1.0_wp)) &
+      *polygon%width(channel)), visits%py(j))
     visits%u_axial(mine) = max(abs(visits%zx(j)), slowest)
     visits%u_lateral(mine) = visits%zy(j)
     visits%length(mine) = visits%first(j)
