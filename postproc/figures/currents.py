@@ -37,9 +37,10 @@ FLOW_LOOK = {
     "flow2_12": ("^", style.GREEN, "channel 2, urn 1 → 2"),
     "flow2_21": ("D", style.PURPLE, "channel 2, urn 2 → 1"),
 }
+# Round the circuit, so that both agree in a stationary state: that of channel 2 is -`current2`.
 NET_LOOK = {
     "current1": (style.VERMILION, "net current, channel 1, urn 1 → 2"),
-    "current2": (style.SKY, "net current, channel 2, urn 1 → 2"),
+    "current2": (style.SKY, "net current, channel 2, urn 2 → 1"),
 }
 
 
@@ -124,10 +125,11 @@ def _parts(
         state = model.reached(circuit, start2)
         second = 0.5 * number if state is None else state.urn2_number
         flipped = circuit.alike and (second > 0.5 * number) != (reached > 0.5 * number)
-        levels.append(model.levels(circuit, number - second if flipped else second))
+        found = model.levels(circuit, number - second if flipped else second)
+        levels.append(found | {"current2": -found["current2"]})
     flows = series.flows
-    nets = [binned(series.time, flows[f"flow{channel}_12"] - flows[f"flow{channel}_21"], BINS)
-            for channel in (1, 2)]  # fmt: skip
+    ways = (("flow1_12", "flow1_21"), ("flow2_21", "flow2_12"))
+    nets = [binned(series.time, flows[ahead] - flows[back], BINS) for ahead, back in ways]
     return [binned(series.time, flows[name], MARKS) for name in FLOW_LOOK], nets, levels
 
 

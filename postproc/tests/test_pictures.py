@@ -73,17 +73,17 @@ def test_currents_show_the_series_the_theory_and_eta(run_file: Path) -> None:
         net = [line for line in axes.lines if str(line.get_label()).startswith("net current,")]
         assert [line.get_label() for line in net] == [
             "net current, channel 1, urn 1 → 2",
-            "net current, channel 2, urn 1 → 2",
+            "net current, channel 2, urn 2 → 1",
         ]
-        means = [results.value(f"current{channel}")[0, 1] for channel in (1, 2)]
-        assert [line.get_ydata().mean() for line in net] == pytest.approx(means, rel=0.1)
-        assert means[0] * means[1] < -0.25  # opposite, as in the dataset
+        one, two = (results.value(f"current{channel}")[0, 1] for channel in (1, 2))
+        assert abs(one) > 0.5
+        assert [line.get_ydata().mean() for line in net] == pytest.approx([one, -two], rel=0.1)
         # the paper's state with N2 = 968.7 or its mirror image, as the run chose
         drawn = [line for line in axes.lines if list(line.get_xdata()) == [0, 1]]
         levels = sorted(line.get_ydata()[0] for line in drawn if line.get_linestyle() == "--")
         expected = [flow(circuit, 31.273) for flow in (flow1, flow2)]
         expected += [flow(circuit, 968.727) for flow in (flow1, flow2)]
-        expected += [expected[3] - expected[1], expected[1] - expected[3]]
+        expected += [(expected[3] - expected[1]) * np.sign(one)] * 2
         assert levels == pytest.approx(sorted(map(float, expected)), abs=1e-4)
     entries = [text.get_text() for text in made.legends[0].get_texts()]
     assert [one for one in entries if one.endswith("net currents")] == [
