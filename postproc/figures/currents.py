@@ -83,7 +83,7 @@ def draw_eta(
             axes.plot(zero / total, 0.0, "o", ms=3.2, mfc=face, mec=style.BLACK, mew=0.6, zorder=4)
     if number2 is not None:
         axes.plot(number2 / total, 0.0, "o", ms=5.5, mfc="none", mec=style.VERMILION, zorder=5)
-    axes.set(xlabel="$N_2/N$", ylabel="$\\eta$, gain of urn 2\n(particles per unit time)")
+    axes.set(xlabel="$N_2/N$", ylabel="$\\eta$ (per unit time)")
     axes.set_xlim(0.0, 1.0)
     axes.xaxis.set_major_locator(MaxNLocator(4))
     axes.yaxis.set_major_locator(MaxNLocator(5))

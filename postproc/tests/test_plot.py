@@ -199,7 +199,7 @@ def test_eta_has_a_unit_and_its_help_no_label_of_a_manuscript() -> None:
     axes = Figure().add_subplot()
     circuit = postproc.Circuit(number=1000, threshold=7)
     circuit.plot_eta(ax=axes)
-    assert axes.get_ylabel() == "$\\eta$, gain of urn 2\n(particles per unit time)"
+    assert axes.get_ylabel() == "$\\eta$ (per unit time)"
     for public in (postproc.Circuit, type(circuit.states()[0])):
         assert "eq. (" not in pydoc.render_doc(public)
 
