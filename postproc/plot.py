@@ -128,7 +128,8 @@ def flows(
 ) -> list[ErrorbarContainer]:  # fmt: skip
     """Draw the four flows and both net currents of one run against time, from a series.
 
-    Net currents are counted from urn 1 to urn 2, as `current1` and `current2` of a dataset.
+    Net currents are counted round the circuit: that of channel 1 is `current1` of a dataset, that
+    of channel 2, from urn 2 to urn 1, is -`current2`.
 
     Parameters
     ----------

@@ -326,42 +326,36 @@ contains
   end subroutine find_next_side
 
   !> As `find_next_side`, but also for a particle that moves along a side, or that rounding has put
-  !> beyond one. From the side `from` (0: none), at (`x`, `y`) with velocity (`ux`, `uy`), to the
-  !> `side` that the particle hits (0: none) after the time `wait`.
+  !> beyond one: then the path starts slightly farther inside, away from the sides that the particle
+  !> touches. From the side `from` (0: none), at (`x`, `y`) with velocity (`ux`, `uy`), to the `side`
+  !> that the particle hits (0: none) after the time `wait`.
   pure subroutine find_next_side_robustly(polygon, from, x, y, ux, uy, side, wait)
     type(polygon_type), intent(in) :: polygon
     integer, intent(in) :: from
     real(wp), intent(in) :: x, y, ux, uy
     integer, intent(out) :: side
     real(wp), intent(out) :: wait
-
-    call find_next_side(polygon, from, x, y, ux, uy, side, wait)
-    if (side == 0) call find_next_side_from_inside(polygon, from, x, y, ux, uy, side, wait)
-  end subroutine find_next_side_robustly
-
-  !> As `find_next_side`, for a path that starts slightly farther inside: away from the sides that
-  !> the particle touches, and from the side `from`.
-  pure subroutine find_next_side_from_inside(polygon, from, x, y, ux, uy, side, wait)
-    type(polygon_type), intent(in) :: polygon
-    integer, intent(in) :: from
-    real(wp), intent(in) :: x, y, ux, uy
-    integer, intent(out) :: side
-    real(wp), intent(out) :: wait
     real(wp) :: inwards, shift_x, shift_y
-    logical :: touches(polygon%sides)
     integer :: tries
 
-    touches = distances_to_sides(polygon, x, y) <= 2.0_wp*polygon%tolerance
-    if (from > 0) touches(from) = .true.
-    shift_x = -sum(polygon%normal_x, touches)
-    shift_y = -sum(polygon%normal_y, touches)
+    call find_next_side(polygon, from, x, y, ux, uy, side, wait)
+    if (side > 0) return
+    ! A block, so that no array is allocated where a side is found at once.
+    block
+      logical :: touches(polygon%sides)
+
+      touches = distances_to_sides(polygon, x, y) <= 2.0_wp*polygon%tolerance
+      if (from > 0) touches(from) = .true.
+      shift_x = -sum(polygon%normal_x, touches)
+      shift_y = -sum(polygon%normal_y, touches)
+    end block
     inwards = polygon%tolerance
     do tries = 1, 8
       call find_next_side(polygon, 0, x + inwards*shift_x, y + inwards*shift_y, ux, uy, side, wait)
       if (side > 0) return
       inwards = 4.0_wp*inwards
     end do
-  end subroutine find_next_side_from_inside
+  end subroutine find_next_side_robustly
 
   !> Places a particle at (`x`, `y`) on the side number `side`, and reflects its velocity (`ux`,
   !> `uy`).
