@@ -171,6 +171,7 @@ def test_a_single_urn_has_its_own_theory(tmp_path: Path) -> None:
     expected = [float(single_urn_current(Circuit(n, 5, channel2_width=0.0, shape="urn")))
                 for n in (40, 80)]  # fmt: skip
     assert data["theory_current1"].values.tolist() == expected
+    assert postproc.table(path, theory="window")["window_current1"].tolist() == expected
     assert "theory_chi" not in data
     assert np.isnan(data["chi"]).all()
 

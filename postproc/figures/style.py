@@ -49,7 +49,7 @@ CYCLE = (BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY)
 COLUMN = 3.4  # width of one column of the journal, inches
 PAGE = 7.0  # width of both columns, inches
 RESOLUTION = 200  # dots per inch of the PNG
-TICKS = 0.08  # of their range, least distance between ticks at given values
+TICKS = 0.12  # of their range, least distance between ticks at given values
 
 SETTINGS = {
     "font.family": "DejaVu Sans",

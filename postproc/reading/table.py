@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     import xarray as xr
 
 MEANS = ("chi", "polarised_current", "current1", "current2")
+THEORY = ("chi", "polarised_current", "transition_width", "current1")
 
 
 def table(
@@ -36,7 +37,8 @@ def table(
     pandas.DataFrame
         The parameters of the points; mean and `_error` over replicas of chi and the currents
         (`mean_error`), NaN where replicas are in two states; `replicas`, how many are complete; of
-        each theory `chi`, `polarised_current` and `transition_width` after its name.
+        each theory `chi`, `polarised_current` and `transition_width` after its name, of a single urn
+        `current1`.
     """
     data = dataset_of(results)
     data = with_theory(data, [theory] if isinstance(theory, str) else theory)
@@ -47,7 +49,7 @@ def table(
         columns[name], columns[f"{name}_error"] = points.mean(name)
     columns["replicas"] = points.done.sum(axis=1)
     for name in np.atleast_1d(rows.get("theory", np.empty(0))).tolist():
-        for what in (f"theory_{one}" for one in ("chi", "polarised_current", "transition_width")):
+        for what in (f"theory_{one}" for one in THEORY):
             if what in rows:
                 columns[what.replace("theory", name, 1)] = rows[what].sel(theory=name).values
     return pd.DataFrame({name: np.broadcast_to(one, len(points)) for name, one in columns.items()})
