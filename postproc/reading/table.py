@@ -37,8 +37,8 @@ def table(
     pandas.DataFrame
         The parameters of the points; mean and `_error` over replicas of chi and the currents
         (`mean_error`), NaN where replicas are in two states; `replicas`, how many are complete; of
-        each theory `chi`, `polarised_current` and `transition_width` after its name, of a single urn
-        `current1`.
+        each theory `chi`, `polarised_current` and `transition_width` after its name, or `current1`
+        of a single urn.
     """
     data = dataset_of(results)
     data = with_theory(data, [theory] if isinstance(theory, str) else theory)
