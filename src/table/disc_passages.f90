@@ -25,7 +25,8 @@ module battery_disc_passages
   integer, parameter :: early_rounds = 2
 
   !> A passage starts on the wall if its start is not further from the circle, along the path, than
-  !> this, in units of the radius: some times the rounding error of a path traced back to there.
+  !> this, in units of the radius, over the square of the cosine of incidence: some times the
+  !> rounding error of a path traced back to there, whose chords have the length of that cosine.
   real(wp), parameter :: wall_margin = 1.0e-12_wp
 
   !> A velocity points out of an opening if its component along the channel is more than a rounding
@@ -175,7 +176,8 @@ contains
       c(j) = cosine
       s(j) = sine
       steps(j) = 0.0_wp
-      low = low + merge(1_int64, 0_int64, cosine < grazing_cosine .or. radial - abs(outward) < near)
+      low = low + merge(1_int64, 0_int64, cosine < grazing_cosine .or. &
+        (radial - abs(outward))*cosine**2 < near)
     end do
     uncommon = low > 0
   end subroutine find_first_impacts
@@ -220,7 +222,8 @@ contains
       distance = min(visits%first(j), 2.0_wp*disc%radius*visits%c(j) - visits%first(j))
       ! Within a tiny opening the circle is so near everywhere; but there a reflection would come
       ! from the channel (`trace_back_into_channel`).
-      if (max(distance, 0.25_wp*(half_width - abs(visits%y(j)))) > wall_margin*disc%radius) cycle
+      if (max(distance, 0.25_wp*(half_width - abs(visits%y(j))))*visits%c(j)**2 &
+        > wall_margin*disc%radius) cycle
       visits%wall_starts_count = visits%wall_starts_count + 1
       visits%wall_start_index(visits%wall_starts_count) = j
       if (abs(visits%u_lateral(j)) > 0.0_wp .or. abs(abs(visits%y(j)) - half_width) &
