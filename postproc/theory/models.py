@@ -64,7 +64,7 @@ DECLARED = (
     ),
 )  # fmt: skip
 MODELS = {model.name: model for model in DECLARED}
-FEW = 12  # circuits for which memory is computed unasked: two seconds each
+FEW = 12  # circuits for which memory is computed unasked: about a second each
 
 
 def defaults(circuits: Iterable[Circuit]) -> tuple[Model, Model]:
