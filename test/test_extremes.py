@@ -264,6 +264,39 @@ def test_a_particle_beside_the_wall_of_a_wide_channel_is_located_before_it_enter
     assert hits["excursion"] == hits["collision"]
 
 
+@pytest.mark.parametrize("width", [0.3, 0.01, 1e-6])
+@pytest.mark.parametrize("speed", [1e-3, 1e-6, 1e-8, 1e-10])
+def test_a_slow_particle_in_a_channel_is_located_before_it_enters_the_urn(
+    tmp_path: Path, width: float, speed: float
+) -> None:
+    """The path in the urn, and the long time before it, take no digit from the place."""
+    random = np.random.default_rng(5)
+    starts = [
+        (-0.25, 0.49 * width * random.uniform(-1, 1), -speed, random.choice([-1.0, 1.0]))
+        for _ in range(40)
+    ]
+    lines = [" ".join(f"{float(value)!r}" for value in start) + "\n" for start in starts]
+    (tmp_path / "start.txt").write_text("".join(lines))
+    found = {}
+    for engine in ("excursion", "collision"):
+        ended = calculate(
+            tmp_path,
+            {"channel1_width": repr(width), "channel1_length": "1", "channel2_width": "0"},
+            engine,
+            engine,
+            number=len(starts),
+            particles={"initial_file": "'start.txt'"},
+            run={"duration": "0.1"},
+            output={"snapshot_times": "0.01, 0.09"},
+        )
+        assert ended.returncode == 0, ended.stderr
+        found[engine] = read(tmp_path / f"{engine}.h5")
+    for name in ("x", "y", "ux", "uy"):
+        values = [found[engine][f"snapshots/{name}"] for engine in found]
+        np.testing.assert_allclose(*values, rtol=0, atol=1e-11, err_msg=name)
+    assert found["excursion"]["collisions"].item() == found["collision"]["collisions"].item()
+
+
 # What no number can represent, and the key that is told.
 REFUSED = [
     *[

@@ -237,6 +237,25 @@ def _boundary(walls: list[np.ndarray]) -> np.ndarray:
     return np.vstack([upper1, lower1, lower2[::-1], upper2[::-1]])
 
 
+def test_who_meets_a_corner_after_many_events_of_another_is_not_trapped(tmp_path: Path) -> None:
+    """In `synchronous` each event moves all, so rounding puts particle 1 far beyond its side."""
+    (tmp_path / "s.txt").write_text("2.3 -0.4 1 -3\n3 0.00025 0.001 1\n")
+    found = {}
+    for engine in ("collision", "synchronous"):
+        (tmp_path / "o.nml").write_text(
+            f"&table urn_shape = 'polygon', urn_vertices = {SQUARE}, channel1_width = 0.25, "
+            "channel2_width = 0.001, channel2_length = 2 /\n"
+            "&particles number = 2, initial_file = 's.txt' /\n&gate threshold = 2 /\n"
+            f"&run duration = 5, engine = '{engine}' /\n"
+            f"&output file = '{engine}.h5', final_state = T /\n"
+        )
+        ended = run("o.nml", folder=tmp_path)
+        assert ended.returncode == 0, ended.stderr
+        with h5py.File(tmp_path / f"{engine}.h5") as file:
+            found[engine] = [file[f"final/{name}"][()].ravel() for name in ("x", "y", "ux", "uy")]
+    np.testing.assert_allclose(found["synchronous"], found["collision"], rtol=0, atol=1e-9)
+
+
 def test_theories_take_the_area_or_say_that_they_know_discs_only(
     capsys: pytest.CaptureFixture[str],
 ) -> None:

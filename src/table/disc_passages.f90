@@ -29,6 +29,12 @@ module battery_disc_passages
   !> rounding error of a path traced back to there, whose chords have the length of that cosine.
   real(wp), parameter :: wall_margin = 1.0e-12_wp
 
+  !> Traced back through chords of the length c (in units of the radius) a velocity has an error of
+  !> epsilon/c**2, and the place in the channel before one that grows with the time spent there. The
+  !> start of a passage is stored where that time exceeds this many times c**2 radii: there the
+  !> error is 2e-12 radii.
+  real(wp), parameter :: longest_time = 1.0e4_wp
+
   !> A velocity points out of an opening if its component along the channel is more than a rounding
   !> error: a particle that moves along the chord reaches the corner.
   real(wp), parameter :: least_u_axial = 4.0_wp*epsilon(1.0_wp)
@@ -51,8 +57,8 @@ contains
     visits%wall_starts_count = 0
     if (n == 0) return
     call find_first_impacts(n, 1.0_wp/disc%radius, visits%x, visits%y, visits%u_axial, &
-      visits%u_lateral, visits%c, visits%s, visits%px, visits%py, visits%zx, visits%zy, &
-      visits%steps, visits%first, uncommon)
+      visits%u_lateral, visits%passage, visits%c, visits%s, visits%px, visits%py, visits%zx, &
+      visits%zy, visits%steps, visits%first, uncommon)
     if (uncommon) then
       call recompute_grazing_incidences(disc, visits)
       call list_wall_starts(disc, visits)
@@ -149,20 +155,21 @@ contains
 
   !> Computes incidence, first impact, rotation from impact to impact, and length until the first
   !> impact.
-  pure subroutine find_first_impacts(n, curvature, x, y, ux, uy, c, s, px, py, zx, zy, steps, &
-    first, uncommon)
+  pure subroutine find_first_impacts(n, curvature, x, y, ux, uy, passage, c, s, px, py, zx, zy, &
+    steps, first, uncommon)
     integer, intent(in) :: n
-    real(wp), intent(in) :: curvature, x(n), y(n), ux(n), uy(n)
+    real(wp), intent(in) :: curvature, x(n), y(n), ux(n), uy(n), passage(n)
     real(wp), intent(out) :: c(n), s(n), px(n), py(n), zx(n), zy(n), steps(n), first(n)
     !> Whether a cosine is so small that it has lost digits in 1 - s**2, or a passage may start on
-    !> the wall.
+    !> the wall, or cannot be traced back into the channel.
     logical, intent(out) :: uncommon
-    real(wp) :: sine, cosine, outward, radial, near
+    real(wp) :: sine, cosine, outward, radial, near, per_time
     integer :: j
     integer(int64) :: low
 
     low = 0
     near = wall_margin/curvature
+    per_time = curvature/longest_time
     do j = 1, n
       sine = (x(j)*uy(j) - y(j)*ux(j))*curvature
       cosine = sqrt(max((1.0_wp - sine)*(1.0_wp + sine), 0.0_wp))
@@ -176,8 +183,8 @@ contains
       c(j) = cosine
       s(j) = sine
       steps(j) = 0.0_wp
-      low = low + merge(1_int64, 0_int64, cosine < grazing_cosine .or. &
-        (radial - abs(outward))*cosine**2 < near)
+      low = low + merge(1_int64, 0_int64, cosine < grazing_cosine .or. cosine**2*(radial &
+        - abs(outward)) < near .or. cosine**2 < per_time*passage(j))
     end do
     uncommon = low > 0
   end subroutine find_first_impacts
@@ -206,8 +213,9 @@ contains
     end do
   end subroutine recompute_grazing_incidences
 
-  !> Lists the passages that start on the wall, or at the end of a chord and so on the circle too:
-  !> traced back to there, rounding decides whether the particle was reflected. One that has glided
+  !> Lists the passages that cannot be traced back to their start: those before which a slow particle
+  !> is in the channel, and those that start on the wall, or at the end of a chord and so on the
+  !> circle too, where rounding would decide whether the particle was reflected. One that has glided
   !> along the wall of its channel may fly to the corner opposite, which belongs to the urn: its
   !> first impact must not lie in that opening by rounding.
   pure subroutine list_wall_starts(disc, visits)
@@ -223,7 +231,8 @@ contains
       ! Within a tiny opening the circle is so near everywhere; but there a reflection would come
       ! from the channel (`trace_back_into_channel`).
       if (max(distance, 0.25_wp*(half_width - abs(visits%y(j))))*visits%c(j)**2 &
-        > wall_margin*disc%radius) cycle
+        > wall_margin*disc%radius .and. visits%passage(j) < longest_time*disc%radius &
+        *visits%c(j)**2) cycle
       visits%wall_starts_count = visits%wall_starts_count + 1
       visits%wall_start_index(visits%wall_starts_count) = j
       if (abs(visits%u_lateral(j)) > 0.0_wp .or. abs(abs(visits%y(j)) - half_width) &

@@ -340,17 +340,18 @@ contains
 
     call find_next_side(polygon, from, x, y, ux, uy, side, wait)
     if (side > 0) return
-    ! A block, so that no array is allocated where a side is found at once.
-    block
-      logical :: touches(polygon%sides)
-
-      touches = distances_to_sides(polygon, x, y) <= 2.0_wp*polygon%tolerance
-      if (from > 0) touches(from) = .true.
-      shift_x = -sum(polygon%normal_x, touches)
-      shift_y = -sum(polygon%normal_y, touches)
-    end block
     inwards = polygon%tolerance
     do tries = 1, 8
+      ! A block, so that no array is allocated where a side is found at once. In `synchronous` each
+      ! event moves all particles: after many of them rounding has put one far beyond its side.
+      block
+        logical :: touches(polygon%sides)
+
+        touches = distances_to_sides(polygon, x, y) <= 2.0_wp*inwards
+        if (from > 0) touches(from) = .true.
+        shift_x = -sum(polygon%normal_x, touches)
+        shift_y = -sum(polygon%normal_y, touches)
+      end block
       call find_next_side(polygon, 0, x + inwards*shift_x, y + inwards*shift_y, ux, uy, side, wait)
       if (side > 0) return
       inwards = 4.0_wp*inwards

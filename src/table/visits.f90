@@ -63,8 +63,8 @@ module battery_visits
     !> never end, or are truncated, and their indices. The list may contain others too.
     integer :: many_hits_count = 0
     integer, allocatable :: many_hits_index(:)
-    !> The same of the visits whose passage through a disc starts on the wall within rounding, so
-    !> that it cannot be traced back to its start.
+    !> The same of the visits whose passage through a disc cannot be traced back to its start, since
+    !> it starts on the wall within rounding, or a slow particle enters it along the wall.
     integer :: wall_starts_count = 0
     integer, allocatable :: wall_start_index(:)
     !> Work space of the kernels, of which each has its own use for it. An element belongs to the

@@ -5,7 +5,8 @@
 !> never ends, or is truncated; while a particle is nearer to the start of its visit than to its
 !> end, it is located forwards from the start. The start is stored too if it is a corner between a
 !> channel and a disc, or lies on the arc: traced back to there, the particle may have come from the
-!> channel, or from the urn.
+!> channel, or from the urn. And it is stored if a slow particle enters a disc along the wall: the
+!> rounding errors of many short chords grow with the time in the channel before them.
 !>
 !> A start is a copy of the previous flight: a few words are copied, nothing is computed. It is
 !> valid as long as it belongs to the visit before the flight of its particle; invalid ones are
@@ -14,7 +15,7 @@ module battery_long_visits
   use battery_kinds, only: wp, int16, int32, int64
   use battery_channel, only: fold_into_channel, channel1, channel2, facing, no_channel
   use battery_flight, only: flight_type, never, to_gate, to_periodic_line, trapped_in_urn, &
-    partial_visit, trace_back_into_channel
+    partial_visit
   use battery_archive, only: archive_type
   use battery_urn, only: urn_type, locate_in_passage, locate_after
   use battery_visits, only: visits_type
@@ -105,7 +106,7 @@ contains
       ! The start of an earlier visit is before the end of that one.
       associate (visit_start => visits%visit_start(visits%place(particle)))
         yes = visit_start%time + passage_before(visit_start) > flight%time - flight%length &
-          - same_time*visits%least
+          - same_time*visits%least - 4.0_wp*epsilon(1.0_wp)*abs(flight%time)
       end associate
     case default
       yes = .false.
@@ -269,10 +270,14 @@ contains
         ux = -facing(from)*visit_start%u_axial
         uy = reflected*visit_start%u_lateral
         if (now < begins) then
+          call fold_into_channel(visit_start%y + visit_start%u_lateral*(now - visit_start%time), &
+            urn%width(from), y, reflected, passed)
+          ! However slow the particle is, it stays in this urn's half of the channel.
+          x = facing(from)*(urn%chord(from) + min(visit_start%u_axial*(begins - now), &
+            0.5_wp*urn%length(from)))
           position = [x, y]
-          velocity = [ux, uy]
+          velocity = [ux, reflected*visit_start%u_lateral]
           hits = 0
-          call trace_back_into_channel(urn, begins - now, position, velocity, hits)
         else
           call locate_after(urn, x, y, ux, uy, now - begins, position, velocity, hits)
         end if
