@@ -327,8 +327,8 @@ contains
 
   !> As `find_next_side`, but also for a particle that moves along a side, or that rounding has put
   !> beyond one: then the path starts slightly farther inside, away from the sides that the particle
-  !> touches. From the side `from` (0: none), at (`x`, `y`) with velocity (`ux`, `uy`), to the `side`
-  !> that the particle hits (0: none) after the time `wait`.
+  !> touches. From the side `from` (0: none), at (`x`, `y`) with velocity (`ux`, `uy`), to the
+  !> `side` that the particle hits (0: none) after the time `wait`.
   pure subroutine find_next_side_robustly(polygon, from, x, y, ux, uy, side, wait)
     type(polygon_type), intent(in) :: polygon
     integer, intent(in) :: from
