@@ -17,7 +17,7 @@ from scipy import stats
 
 from postproc.figures import style
 from postproc.figures.theories import default
-from postproc.reading.groups import series_of
+from postproc.reading.groups import each_series
 from postproc.reading.points import alike
 
 if TYPE_CHECKING:
@@ -109,18 +109,16 @@ def measured(points: xr.Dataset) -> list[Lifetime]:
     Runs of one circuit and one kind of start are combined.
     """
     passages: dict[tuple[Circuit, bool], list[tuple[float, bool]]] = {}
-    for at, circuit in enumerate(alike(points)):
-        polarised = bool(points["start"][at] > MIDDLE)
-        number, level = int(circuit.number), LOW if polarised else HIGH
-        found = passages.setdefault((circuit, polarised), [])
-        found += [first_passage(one, number, level, polarised) for one in series_of(points, at)]
+    circuits, starts = alike(points), points["start"].values
+    for at, series in each_series(points):
+        circuit, polarised = circuits[at], bool(starts[at] > MIDDLE)
+        passage = first_passage(series, circuit.number, LOW if polarised else HIGH, polarised)
+        passages.setdefault((circuit, polarised), []).append(passage)
     lifetimes = []
     for (circuit, polarised), found in passages.items():
-        if found:
-            times, passed = zip(*found, strict=True)
-            count, total = int(np.count_nonzero(passed)), len(times)
-            estimated = estimate(times, passed)
-            lifetimes.append(Lifetime(circuit, polarised, count, total, *estimated))
+        times, passed = zip(*found, strict=True)
+        count, estimated = int(np.count_nonzero(passed)), estimate(times, passed)
+        lifetimes.append(Lifetime(circuit, polarised, count, len(times), *estimated))
     return lifetimes
 
 

@@ -15,11 +15,14 @@ from postproc.reading.points import COMPLETE, FLOWS, PARAMETERS, files_of
 from postproc.reading.results_file import ResultsFile
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     from numpy.typing import NDArray
 
     Floats = NDArray[np.float64]
 
 GROUPS = ("series", "snapshots", "final", "events")
+TOGETHER = 256  # tasks whose series are read at a time
 HINTS = {
     "series": " (set series_interval in &output)",
     "snapshots": " (set snapshot_times in &output)",
@@ -80,23 +83,35 @@ def _checked(data: xr.Dataset, group: str, names: tuple[str, ...]) -> xr.Dataset
     return found[list(names)]
 
 
-def series_of(points: xr.Dataset, point: int, *replicas: int) -> list[xr.Dataset]:
-    """Return the series of each replica of a point, by default of all that are complete.
+def each_series(points: xr.Dataset) -> Iterator[tuple[int, xr.Dataset]]:
+    """Iterate over complete tasks: the place of the point, and the series of the task to its end.
 
     `time` are the ends of the intervals; `urn1_number` is N1 then, and `flow...` are crossings per
-    unit time since the entry before. Empty ones are left out; raises `InputError` if all are, or
-    none was requested.
+    unit time since the entry before. Empty series are left out. Raises `InputError` if none was
+    requested.
     """
-    chosen = list(replicas) or np.flatnonzero(points["complete"][point])
-    found = _checked(points.isel(point=point, replica=chosen), "series", ("urn1_number", *FLOWS))
-    # The entry at the start has no interval before it.
-    known = found[FLOWS[0]].notnull() & (found["urn1_number"] >= 0) & (found["time"] > 0.0)
-    found = found.assign_coords(replica=chosen)
-    series = [found.isel(replica=at, time=known[at].values) for at in range(len(chosen))]
-    series = [one for one in series if one.sizes["time"]]
-    if len(chosen) and not series:
+    step = max(1, TOGETHER // points.sizes["replica"])
+    for first in range(0, points.sizes["point"], step):
+        part = points.isel(point=slice(first, first + step))
+        found = _checked(part, "series", ("urn1_number", *FLOWS))
+        found = found.assign_coords(replica=np.arange(found.sizes["replica"]))
+        # The entry at the start has no interval before it.
+        known = found[FLOWS[0]].notnull() & (found["urn1_number"] >= 0) & (found["time"] > 0.0)
+        for at, replica in np.argwhere(part["complete"].values & known.any("time").values):
+            there = np.flatnonzero(known.values[at, replica])
+            yield first + int(at), found.isel(point=at, replica=replica, time=there)
+
+
+def series_of(points: xr.Dataset, point: int, replica: int | None = None) -> list[xr.Dataset]:
+    """Return the series of a complete replica of a point, or of all (`each_series`).
+
+    Raises `InputError` if they are empty.
+    """
+    replicas = slice(None) if replica is None else [replica]
+    found = [one for _, one in each_series(points.isel(point=[point], replica=replicas))]
+    if not found and points["complete"][point].any():
         raise InputError(f"{files_of(points)}: the series of point {point + 1} is empty")
-    return series
+    return found
 
 
 def snapshots_of(points: xr.Dataset, point: int, replica: int) -> list[Snapshot]:

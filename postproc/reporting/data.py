@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from contextlib import suppress
 from dataclasses import dataclass
+from itertools import islice
 from typing import TYPE_CHECKING
 
 import contourpy
@@ -21,7 +22,7 @@ from postproc.figures.maps import (
     transition_lines,
 )
 from postproc.reading.grid import with_theory
-from postproc.reading.groups import series_of
+from postproc.reading.groups import each_series
 from postproc.reading.points import current_name, groups, keys_of, means
 
 if TYPE_CHECKING:
@@ -203,15 +204,14 @@ def thinned_series(points: xr.Dataset) -> tuple[Floats, Columns]:
     """Return times, and (N1 - N2)/N and net current of all tasks one after the other, thinned.
 
     Nothing if the run has no series, or is shorter than their interval. If there are too many, only
-    those of the first points.
+    those of the first tasks.
     """
     shape = points["complete"].shape
     samples = int(np.clip(ROOM // max(points["complete"].size, 1), *SAMPLES))
     found: dict[tuple[int, int], xr.Dataset] = {}
-    for at in range(shape[0]):
-        if len(found) * samples < ROOM:
-            with suppress(InputError):  # none, or shorter than the interval
-                found |= {(at, int(one["replica"])): one for one in series_of(points, at)}
+    with suppress(InputError):  # none was requested
+        for at, one in islice(each_series(points), ROOM // samples):
+            found[at, int(one["replica"])] = one
     if not found:
         return np.empty(0), {}
     time = max((one["time"].values for one in found.values()), key=len)

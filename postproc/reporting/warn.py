@@ -15,7 +15,7 @@ import numpy as np
 from scipy import stats
 
 from postproc.cli import InputError
-from postproc.reading.groups import series_of, snapshot_of
+from postproc.reading.groups import each_series, snapshot_of
 from postproc.reading.points import current_name, means
 from postproc.theory import ports, two_port
 from postproc.theory.circuit import flow2
@@ -91,12 +91,14 @@ def memory_factor(circuit: Circuit) -> float:
 
 def warnings(points: xr.Dataset) -> list[str]:
     """Return the warnings of a run, one sentence each, as plain text."""
-    found, excess = _unfinished(points), _excess(points)
+    found, excess, moving = _unfinished(points), _excess(points), _moving(points)
     for at in np.flatnonzero(points["complete"].any("replica")):
         circuit = points["circuit"].values[at]
         told = _of_replicas(points.isel(point=at))
         told += _of_current(circuit, *excess[:, at])
-        told += _of_series(points, int(at))
+        if at in moving:
+            told.append("chi still moves in the second half of replica "
+                        f"{', '.join(moving[at])}: short transient.")  # fmt: skip
         name = f"T = {circuit.thresholds}, w' = {circuit.channel2_width:.4g}, N = {circuit.number}"
         found += [f"{name}: {text}" for text in told]
     return found
@@ -125,7 +127,7 @@ def explanations(points: xr.Dataset) -> list[str]:
             f"At {without_error} of {count} points an error is not known: one run is "
             "too short to tell its own there. Replicas tell."
         )
-    counts = [_axial_of(points, at) for at in range(count)]
+    counts = _axial_of(points)
     if any(counts):
         found.append(
             f"{max(counts)} particles of a last snapshot run along the axis. They go round the "
@@ -192,24 +194,27 @@ def _of_current(circuit: Circuit, excess: float, error: float) -> list[str]:
     ]
 
 
-def _of_series(points: xr.Dataset, point: int) -> list[str]:
-    if points.attrs.get("shape") == "urn":
-        return []
-    number, moving = float(points["number"][point]), []
-    with suppress(InputError):  # none, or shorter than the interval
-        moving = [str(int(one["replica"])) for one in series_of(points, point)
-                  if drifts(np.abs(number - 2.0 * one["urn1_number"].values) / number)]  # fmt: skip
-    if not moving:
-        return []
-    return [f"chi still moves in the second half of replica {', '.join(moving)}: short transient."]
+def _moving(points: xr.Dataset) -> dict[int, list[str]]:
+    """Return the replicas of each point in whose series chi still moves."""
+    found: dict[int, list[str]] = {}
+    if points.attrs.get("shape") != "urn":
+        with suppress(InputError):  # none was requested
+            for at, one in each_series(points):
+                number = float(points["number"].values[at])
+                if drifts(np.abs(number - 2.0 * one["urn1_number"].values) / number):
+                    found.setdefault(at, []).append(str(int(one["replica"])))
+    return found
 
 
-def _axial_of(points: xr.Dataset, point: int) -> int:
-    """Return how many particles of the last snapshot move along the axis, 0 without snapshots."""
-    circuit = points["circuit"].values[point]
-    if not points["complete"][point].any() or circuit.shape != "circuit" or circuit.scatterers:
-        return 0
-    try:
-        return axial(circuit, snapshot_of(points, point, 0, -1))
-    except InputError:
-        return 0
+def _axial_of(points: xr.Dataset) -> list[int]:
+    """Return how many particles of a last snapshot of each point move along the axis.
+
+    Of its first complete replica; nothing if there are no snapshots.
+    """
+    done, counts = points["complete"].values, []
+    with suppress(InputError):
+        for at, circuit in enumerate(points["circuit"].values):
+            if done[at].any() and circuit.shape == "circuit" and not circuit.scatterers:
+                last = snapshot_of(points, at, int(done[at].argmax()), -1)
+                counts.append(axial(circuit, last))
+    return counts
