@@ -10,8 +10,9 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from postproc.figures import circuits, currents, maps, passages, theories
+from postproc.figures import circuits, currents, maps, passages
 from postproc.figures import scene as scenes
+from postproc.figures.theories import asked
 from postproc.reading.groups import series_of, snapshot_of
 from postproc.reading.points import by_point, need_only, task_of, with_tasks
 
@@ -23,8 +24,6 @@ if TYPE_CHECKING:
     from matplotlib.collections import PathCollection, QuadMesh
     from matplotlib.container import ErrorbarContainer
     from matplotlib.lines import Line2D
-
-    from postproc.theory.model import Model
 
 __all__ = ["characteristic", "curves", "flows", "lifetimes", "phase_diagram", "relaxation", "scene"]
 
@@ -57,7 +56,7 @@ def phase_diagram(
     values, _, own = maps.values_of(points, variable)
     keys = maps.map_axes(points)
     need_only(points, *keys)
-    lines, marks = maps.of_theory(points, keys, _theories(points, theory))
+    lines, marks = maps.of_theory(points, keys, asked(points, theory))
     axes = _axes(ax)
     mesh = maps.draw_map(axes, points, keys, values, own | look)
     maps.draw_lines(axes, lines, marks)
@@ -92,7 +91,7 @@ def curves(
         One for each value of the second key.
     """
     points = with_tasks(by_point(data))
-    drawn = _theories(points, theory)
+    drawn = asked(points, theory)
     return circuits.draw_curves(_axes(ax), points, drawn, variable, against)
 
 
@@ -120,7 +119,7 @@ def relaxation(
         The mean of each point.
     """
     points = circuits.few_points(by_point(data))
-    return circuits.draw_relaxation(_axes(ax), points, _theories(points, theory), variable)
+    return circuits.draw_relaxation(_axes(ax), points, asked(points, theory), variable)
 
 
 def flows(
@@ -153,7 +152,7 @@ def flows(
     need_only(points)
     circuit, (series,) = points["circuit"].values[0], series_of(points, *task)
     (start,) = circuits.starts_of(points)
-    return currents.draw_flows(_axes(ax), circuit, series, _theories(points, theory), start)
+    return currents.draw_flows(_axes(ax), circuit, series, asked(points, theory), start)
 
 
 def scene(
@@ -212,7 +211,7 @@ def lifetimes(
         One for each state from which runs began.
     """
     points = with_tasks(by_point(data))
-    return passages.draw_lifetimes(_axes(ax), passages.measured(points), _theories(points, theory))
+    return passages.draw_lifetimes(_axes(ax), passages.measured(points), asked(points, theory))
 
 
 def characteristic(
@@ -238,7 +237,7 @@ def characteristic(
         Those of U and of J U.
     """
     points = with_tasks(by_point(data))
-    return circuits.draw_characteristic(_axes(ax), points, _theories(points, theory))
+    return circuits.draw_characteristic(_axes(ax), points, asked(points, theory))
 
 
 def _axes(ax: Axes | None) -> Axes:
@@ -246,8 +245,3 @@ def _axes(ax: Axes | None) -> Axes:
     from matplotlib import pyplot as plt  # noqa: PLC0415 (not every user has a display)
 
     return ax or plt.gca()
-
-
-def _theories(points: xr.Dataset, theory: str | Sequence[str]) -> tuple[Model, ...]:
-    """Return theories by their names; raise `InputError` if one does not apply."""
-    return theories.asked(points, [theory] if isinstance(theory, str) else theory)

@@ -25,7 +25,7 @@ def default(points: xr.Dataset) -> tuple[Model, ...]:
     return () if scatterers_of(points) else defaults(points["circuit"].values)
 
 
-def asked(points: xr.Dataset, names: Sequence[str]) -> tuple[Model, ...]:
+def asked(points: xr.Dataset, names: str | Sequence[str]) -> tuple[Model, ...]:
     """Return theories by their names; raise `InputError` if one does not apply to all points."""
     circuits = points["circuit"].values if names else []
     for at, circuit in enumerate(circuits):

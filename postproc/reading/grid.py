@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
+from functools import cache, partial
 from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -26,7 +27,7 @@ from postproc.reading.points import (
     scatterers_of,
 )
 from postproc.reading.results_file import ResultsFile
-from postproc.theory.models import MODELS, defaults, named
+from postproc.theory.models import defaults, named
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -34,6 +35,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from postproc.theory.circuit import Circuit
+    from postproc.theory.model import Model
 
     Axes = dict[str, tuple[NDArray[np.generic], dict[str, object]]]
 
@@ -96,7 +98,7 @@ def open_results(
         A `ValueError` of one line: the file is not there, damaged, of another version, or not of
         this program; there is no such theory or group; the theory is not for this table.
     """
-    models = _names(theory)
+    models = _models(theory)
     if not (group is None or (isinstance(group, str) and group in GROUPS)):
         raise InputError(f"there is no group {group!r}; there are {', '.join(GROUPS)}")
     data = _read(path_of(file, "file"), verify=verify)
@@ -124,27 +126,24 @@ def _read(path: Path, *, verify: bool) -> xr.Dataset:
 
 def with_theory(data: xr.Dataset, theory: str | Sequence[str] | bool) -> xr.Dataset:
     """Return results with those of theories beside them, as `open_results`."""
-    points, models = by_point(data), _names(theory)
+    points = by_point(data)
     circuits = points["circuit"].values.tolist()
+    models = _models(theory, circuits)
     if theory is True and not scatterers_of(data):
-        models = [one.name for one in defaults(circuits)]
+        models = defaults(circuits)
     if not models:
         return data
-    named(models, circuits)
     urn = data.attrs.get("shape") == "urn"
     meanings = URN_THEORY if urn else THEORY
     starts = (points["number"] - points["urn1_number"]).values.astype(float)
-    known: dict[tuple[object, ...], list[float]] = {}
     found = np.full((len(meanings), len(models), len(circuits)), math.nan)
     for at, model in enumerate(models):
-        for point, circuit in enumerate(each(circuits, f"states, {MODELS[model].label}, point")):
-            case = circuit, model, starts[point]
-            if case not in known:
-                known[case] = _of_urn(*case) if urn else _of_circuit(*case)
-            found[:, at, point] = known[case]
+        results_of = cache(partial(_of_urn if urn else _of_circuit, model))
+        for point, circuit in enumerate(each(circuits, f"states, {model.label}, point")):
+            found[:, at, point] = results_of(circuit, starts[point])
     axes = [name for name in data["task"].dims if name != "replica"]
     sizes = [data.sizes[name] for name in axes]
-    added = {"theory": xr.Variable("theory", models)}
+    added = {"theory": xr.Variable("theory", [one.name for one in models])}
     for (name, (unit, meaning)), values in zip(meanings.items(), found, strict=True):
         if name.endswith("_error") and np.isnan(values).all():
             continue
@@ -154,29 +153,26 @@ def with_theory(data: xr.Dataset, theory: str | Sequence[str] | bool) -> xr.Data
     return data.squeeze("theory", drop=True) if isinstance(theory, str) else data
 
 
-def _names(theory: str | Sequence[str] | bool) -> list[str]:
-    """Return the names of theories; raise `InputError` if there is no such theory."""
-    if isinstance(theory, bool):
-        return []
-    names = [theory] if isinstance(theory, str) or not isinstance(theory, Iterable) else [*theory]
-    named(names)
-    return names
+def _models(
+    theory: str | Sequence[str] | bool, circuits: Iterable[Circuit] = ()
+) -> tuple[Model, ...]:
+    """Return theories by their names; raise `InputError` if there is no such theory."""
+    return () if isinstance(theory, bool) else named(theory, circuits)
 
 
-def _of_urn(circuit: Circuit, model: str, _: float) -> list[float]:
+def _of_urn(model: Model, circuit: Circuit, _: float) -> list[float]:
     """Return a model's results for the single urn, in the order of `URN_THEORY`."""
-    return [float(MODELS[model].urn_current(circuit))]
+    return [float(model.urn_current(circuit))]
 
 
-def _of_circuit(circuit: Circuit, model: str, number2: float) -> list[float]:
+def _of_circuit(model: Model, circuit: Circuit, number2: float) -> list[float]:
     """Return a model's results for a circuit that starts with N2, in the order of `THEORY`."""
-    known = MODELS[model]
-    state = known.reached(circuit, number2)
+    state = model.reached(circuit, number2)
     values: list[float | None] = [None] * 3
     if state is not None:
         values = [state.mass_spread, state.net_current, state.net_current_error]
-    stable = STABLE.get(known.homogeneous_kind(circuit))
-    width = known.theory_of(circuit).transition_width(known.of(circuit))
+    stable = STABLE.get(model.homogeneous_kind(circuit))
+    width = model.theory_of(circuit).transition_width(model.of(circuit))
     return [math.nan if one is None else float(one) for one in (*values, stable, width)]
 
 

@@ -21,9 +21,9 @@ from postproc.figures.maps import (
     map_of,
     transition_lines,
 )
-from postproc.reading.grid import with_theory
 from postproc.reading.groups import each_series
-from postproc.reading.points import current_name, groups, keys_of, means
+from postproc.reading.points import current_name, groups, keys_of
+from postproc.reading.table import table
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -80,15 +80,12 @@ def points_of(points: xr.Dataset, scan: Scan, models: dict[str, Model]) -> Colum
     """Return the columns of the points: keys, measured values and errors, theory, their text."""
     columns = {name: values if values.dtype.kind == "i" else rounded(values)
                for name, values in scan.keys.items()}  # fmt: skip
-    columns["start"] = rounded(points["start"].values)
+    columns["start"], found = rounded(points["start"].values), table(points, theory=list(models))
     for name, source in (("chi", "chi"), ("current", current_name(points))):
-        mean, error = means(points, source)
-        columns |= {name: rounded(mean), f"{name}_error": rounded(error, 2)}
-    theory = with_theory(points, list(models))
-    for name in models:
-        for what, source in (("chi", "theory_chi"), ("current", f"theory_{current_name(points)}")):
-            if source in theory:
-                columns[f"{name}_{what}"] = rounded(theory[source].sel(theory=name).values)
+        columns[name] = rounded(found[source])
+        columns[f"{name}_error"] = rounded(found[f"{source}_error"], 2)
+        columns |= {f"{model}_{name}": rounded(found[f"{model}_{source}"]) for model in models
+                    if f"{model}_{source}" in found}  # fmt: skip
     columns["told"] = np.array([_summary(scan, columns, at) for at in range(len(points["point"]))])
     done, asked = (points[name].sum("replica").values for name in ("complete", "asked"))
     columns["tasks"] = np.array([f"{n} of {m}" for n, m in zip(done, asked, strict=True)])
