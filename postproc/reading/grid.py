@@ -210,6 +210,7 @@ def merge(parts: Iterable[str | Path | xr.Dataset]) -> xr.Dataset:
     table["replica"] = table.groupby(keys).cumcount()
     data = table.set_index([*axes, "replica"]).to_xarray()
     data["task_status"] = data["task_status"].fillna(NOT_ASKED)
+    data["task"] = data["task"].fillna(-1).astype(int)
     for name in keys:
         if name not in axes:
             data[name] = _without_idle(data[name].max("replica").variable, axes)

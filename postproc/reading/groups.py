@@ -45,12 +45,16 @@ def group_of(data: xr.Dataset, group: str) -> xr.Dataset:
 
     Only tasks that are in the dataset are read; of those that are not complete all is NaN.
     """
+    files = data.attrs.get("files", [])
+    known = files and {"task", "task_status"} <= set(data.variables)
+    if not known or data["task"].dtype.kind != "i":  # such as a mean over replicas
+        raise InputError(f"{group}: of a dataset of open_results or merge, or of points of it")
     task, complete = data["task"], data["task_status"].variable == COMPLETE
-    places, files = task.values.ravel(), data.attrs.get("files", [])
+    places = task.values.ravel()
     file = np.ravel(data["file"]) if "file" in data else np.zeros(places.size)
     parts = []
-    for at, path in enumerate(files):
-        mine = np.flatnonzero((file == at) & (places >= 0))
+    for at in np.unique(file[places >= 0]).astype(int):
+        path, mine = files[at], np.flatnonzero(file == at)
         with ResultsFile(Path(path)) as opened, opened.damage_reported():
             if len(files) == 1 and opened.attributes.get("created") != data.attrs.get("created"):
                 raise InputError(f"{path}: has changed since it was opened")

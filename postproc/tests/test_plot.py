@@ -279,6 +279,9 @@ def test_merged_results_have_their_series_each_to_its_end(tmp_path: Path) -> Non
         shown = merged["urn1_number"].isel(replica=at).values.ravel()
         assert shown[: own.size].tolist() == own.tolist()
         assert np.isnan(shown[own.size :]).all()
+    for part in (short[["chi"]], short.mean("replica")):
+        with pytest.raises(InputError, match="or of points of it"):
+            part.series  # noqa: B018 (it reads)
 
 
 def test_of_a_part_only_its_series_are_read(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
