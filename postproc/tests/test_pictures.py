@@ -225,9 +225,8 @@ def test_scatterers_are_drawn_and_no_theory_is_asked(tmp_path: Path) -> None:
         assert call("plot", [name, *here]) == 0, name
     with pytest.raises(InputError, match="knows scatterers"):
         stationary_states(points_of(path)["circuit"].item())
-    results = points_of(path)
-    drawn = picture_of(results.circuit(0), results.snapshot(0, 0, 0)).axes[0]
-    circuit, line = results.circuit(0), float(results.circuit(0).end)
+    results, circuit = points_of(path), points_of(path)["circuit"].item()
+    drawn, line = picture_of(circuit, snapshot_of(results, 0, 0, 0)).axes[0], float(circuit.end)
     discs = [patch.center for patch in drawn.patches if isinstance(patch, Circle)]
     # In a film a flight stops at a disc.
     x, y = film.flown(circuit, Snapshot(0.0, *np.array([[0.2 - line], [0.0], [-1.0], [0.0]])), 0.15)
