@@ -12,7 +12,7 @@ import numpy as np
 from postproc.cli import InputError
 from postproc.theory.circuit import PAPERS_AGE
 from postproc.theory.circuit import Circuit as Model
-from postproc.theory.models import MODELS
+from postproc.theory.models import named
 from postproc.theory.outlines import outline_of, regular, widest
 from postproc.theory.states import State
 
@@ -111,7 +111,8 @@ class Circuit:
         numpy.ndarray
             Of the same shape; NaN where the theory knows no flow.
         """
-        return _theory(theory).eta(self.model(), urn2_number)
+        (known,) = named(theory)
+        return known.eta(self.model(), urn2_number)
 
     def states(self, theory: str = PAPERS, age: float = PAPERS_AGE) -> list[State]:
         """Return the stationary states with N2 >= N/2; each but the first has a mirror image.
@@ -131,7 +132,7 @@ class Circuit:
             that the theory finds. `kind` is "stable" or "unstable" ("neutral": nothing flows),
             `mass_spread` is chi, `net_current` that of channel 1 from urn 1 to urn 2.
         """
-        known, own = _theory(theory), self.model(age)
+        (known,), own = named(theory), self.model(age)
         found = known.states(own)
         if not own.alike:
             return found
@@ -143,7 +144,7 @@ class Circuit:
         There the derivative of eta by N2 at N2 = N/2 changes its sign. NaN: there is none.
         `channel2_width` is not used.
         """
-        own, known = self.model(), _theory(theory)
+        own, (known,) = self.model(), named(theory)
         if known.mixed or not own.alike:
             return float(known.theory_of(own).transition_width(known.of(own)))
         return float(self.transition_line([_both(self.threshold)[0]], theory)[1][0])
@@ -165,7 +166,7 @@ class Circuit:
         tuple of numpy.ndarray
             T, and w' of the same shape, NaN where there is no line.
         """
-        own, known = self.model(), _theory(theory)
+        own, (known,) = self.model(), named(theory)
         asked = np.asarray(list(thresholds), int)
         if not own.alike or asked.size == 0:
             return asked.astype(float), np.full(asked.shape, math.nan)
@@ -180,10 +181,10 @@ class Circuit:
 
         In units of length over speed; infinite: a state is never left, NaN: there is no such state.
         """
-        own = self.model()
+        own, (known,) = self.model(), named(theory)
         if not own.alike:
             raise InputError("lifetimes need two equal urns and gates")
-        return _theory(theory).lifetimes(own)
+        return known.lifetimes(own)
 
     def plot_eta(
         self, theory: str | Sequence[str] = PAPERS, ax: Axes | None = None
@@ -206,8 +207,7 @@ class Circuit:
 
         from postproc.figures.currents import draw_eta  # noqa: PLC0415
 
-        names = [theory] if isinstance(theory, str) else theory
-        return draw_eta(ax or plt.gca(), self.model(), [_theory(name) for name in names])
+        return draw_eta(ax or plt.gca(), self.model(), named(theory))
 
     def model(self, age: float = PAPERS_AGE) -> Model:
         """Return the circuit as the theories take it."""
@@ -264,13 +264,6 @@ class Circuit:
             ]  # fmt: skip
         return [f"{key} = {given[key]}; allowed: {allowed}"
                 for key, good, allowed in rules if not good]  # fmt: skip
-
-
-def _theory(name: str) -> Any:  # noqa: ANN401 (a class of its own package)
-    """Return a theory by its name."""
-    if name not in MODELS:
-        raise InputError(f"there is no theory {name!r}; there are {', '.join(MODELS)}")
-    return MODELS[name]
 
 
 def _both(value: Any) -> tuple[Any, Any]:  # noqa: ANN401 (a number, or a sequence of them)

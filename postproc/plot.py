@@ -10,9 +10,11 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from postproc.figures import circuits, currents, maps, passages, theories
+from postproc.figures import circuits, currents, maps, passages
 from postproc.figures import scene as scenes
-from postproc.reading.points import Points
+from postproc.figures.theories import asked
+from postproc.reading.groups import series_of, snapshot_of
+from postproc.reading.points import by_point, need_only, task_of, with_tasks
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -22,8 +24,6 @@ if TYPE_CHECKING:
     from matplotlib.collections import PathCollection, QuadMesh
     from matplotlib.container import ErrorbarContainer
     from matplotlib.lines import Line2D
-
-    from postproc.theory.model import Model
 
 __all__ = ["characteristic", "curves", "flows", "lifetimes", "phase_diagram", "relaxation", "scene"]
 
@@ -52,11 +52,11 @@ def phase_diagram(
     matplotlib.collections.QuadMesh
         For a colour bar.
     """
-    points = _points(data)
+    points = with_tasks(by_point(data))
     values, _, own = maps.values_of(points, variable)
     keys = maps.map_axes(points)
-    points.need_only(*keys)
-    lines, marks = maps.of_theory(points, keys, _theories(points, theory))
+    need_only(points, *keys)
+    lines, marks = maps.of_theory(points, keys, asked(points, theory))
     axes = _axes(ax)
     mesh = maps.draw_map(axes, points, keys, values, own | look)
     maps.draw_lines(axes, lines, marks)
@@ -90,8 +90,8 @@ def curves(
     list of matplotlib.container.ErrorbarContainer
         One for each value of the second key.
     """
-    points = _points(data)
-    drawn = _theories(points, theory)
+    points = with_tasks(by_point(data))
+    drawn = asked(points, theory)
     return circuits.draw_curves(_axes(ax), points, drawn, variable, against)
 
 
@@ -118,8 +118,8 @@ def relaxation(
     list of matplotlib.lines.Line2D
         The mean of each point.
     """
-    points = circuits.with_tasks(_points(data))
-    return circuits.draw_relaxation(_axes(ax), points, _theories(points, theory), variable)
+    points = circuits.few_points(by_point(data))
+    return circuits.draw_relaxation(_axes(ax), points, asked(points, theory), variable)
 
 
 def flows(
@@ -147,11 +147,12 @@ def flows(
     list of matplotlib.container.ErrorbarContainer
         One for each flow.
     """
-    points = _points(data)
-    points.need_only()
-    circuit, series = points.any_circuit(0), points.series(0, replica)
-    drawn = _theories(points, theory)
-    return currents.draw_flows(_axes(ax), circuit, series, drawn, points.number2_at_start(0))
+    points = by_point(data)
+    task = task_of(points, 1, replica + 1)
+    need_only(points)
+    circuit, (series,) = points["circuit"].values[0], series_of(points, *task)
+    (start,) = circuits.starts_of(points)
+    return currents.draw_flows(_axes(ax), circuit, series, asked(points, theory), start)
 
 
 def scene(
@@ -178,11 +179,12 @@ def scene(
     list of matplotlib.collections.PathCollection
         One for each colour.
     """
-    points = _points(data)
-    points.need_only()
-    axes, circuit = _axes(ax), points.any_circuit(0)
+    points = by_point(data)
+    task = task_of(points, 1, replica + 1)
+    need_only(points)
+    axes, circuit = _axes(ax), points["circuit"].values[0]
     scenes.draw_table(axes, circuit)
-    drawn = scenes.draw_particles(axes, circuit, points.snapshot(0, replica, snapshot))
+    drawn = scenes.draw_particles(axes, circuit, snapshot_of(points, *task, snapshot))
     if legend:
         scenes.explain(axes)
     return drawn
@@ -208,8 +210,8 @@ def lifetimes(
     list of matplotlib.container.ErrorbarContainer
         One for each state from which runs began.
     """
-    points = _points(data)
-    return passages.draw_lifetimes(_axes(ax), passages.measured(points), _theories(points, theory))
+    points = with_tasks(by_point(data))
+    return passages.draw_lifetimes(_axes(ax), passages.measured(points), asked(points, theory))
 
 
 def characteristic(
@@ -234,15 +236,8 @@ def characteristic(
     list of matplotlib.lines.Line2D
         Those of U and of J U.
     """
-    points = _points(data)
-    return circuits.draw_characteristic(_axes(ax), points, _theories(points, theory))
-
-
-def _points(data: xr.Dataset) -> Points:
-    """Return the points of results; raise `InputError` if no task is complete."""
-    points = Points(data)
-    points.need_tasks()
-    return points
+    points = with_tasks(by_point(data))
+    return circuits.draw_characteristic(_axes(ax), points, asked(points, theory))
 
 
 def _axes(ax: Axes | None) -> Axes:
@@ -250,8 +245,3 @@ def _axes(ax: Axes | None) -> Axes:
     from matplotlib import pyplot as plt  # noqa: PLC0415 (not every user has a display)
 
     return ax or plt.gca()
-
-
-def _theories(points: Points, theory: str | Sequence[str]) -> tuple[Model, ...]:
-    """Return theories by their names; raise `InputError` if one does not apply."""
-    return theories.asked(points, [theory] if isinstance(theory, str) else theory)

@@ -28,7 +28,7 @@ from support.program import (
 
 import postproc
 from postproc.reading.grid import open_results
-from postproc.reading.points import Points
+from postproc.reading.points import by_point, means, remark
 from postproc.reading.seal import seal_of
 from postproc.reporting.warn import explanations, warnings
 
@@ -371,9 +371,9 @@ def test_a_point_in_two_states_is_listed_and_has_no_mean(bistable: tuple[Path, s
 
 def test_python_does_not_average_two_states(bistable: tuple[Path, str]) -> None:
     """Nor does it miss tasks that nobody asked for."""
-    results = Points(open_results(bistable[0]))
-    assert np.isnan(results.chi).tolist() == [True, False]
-    assert results.remark == ""
+    results = by_point(open_results(bistable[0]))
+    assert np.isnan(means(results, "chi")[0]).tolist() == [True, False]
+    assert remark(results) == ""
     assert not any("no results" in text for text in warnings(results))
     assert "1 of 2 points the replicas fall into two states" in explanations(results)[0]
     data = postproc.open_results(bistable[0])

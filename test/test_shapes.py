@@ -12,7 +12,8 @@ from support.program import namelist, run
 
 from postproc.figures import film, scene
 from postproc.reading.grid import open_results
-from postproc.reading.points import Points
+from postproc.reading.groups import snapshot_of
+from postproc.reading.points import by_point
 from postproc.tests.commands import call
 
 if TYPE_CHECKING:
@@ -143,9 +144,9 @@ def test_pictures_have_all_particles_inside(tmp_path: Path, table: str, engine: 
     (tmp_path / "c.nml").write_text(text)
     ended = run("c.nml", folder=tmp_path)
     assert ended.returncode == 0, ended.stderr
-    results = Points(open_results(tmp_path / "o.h5"))
-    circuit = results.any_circuit(0)
-    snapshots = [results.snapshot(0, 0, index) for index in range(3)]
+    results = by_point(open_results(tmp_path / "o.h5"))
+    circuit = results["circuit"].values[0]
+    snapshots = [snapshot_of(results, 0, 0, index) for index in range(3)]
     walls = np.vstack(scene.walls(circuit))
     for shot in snapshots:
         x, y = film.flown(circuit, shot, 0.3)

@@ -37,7 +37,6 @@ from postproc.advice import model_errors, transients
 from postproc.cli import InputError
 from postproc.progress import doing
 from postproc.reading.grid import open_results
-from postproc.reading.points import Points
 from postproc.running import RunError, plan, run
 from postproc.theory.circuit import gate_load
 from postproc.theory.models import MODELS, ancestry
@@ -219,13 +218,12 @@ class Outcome:
 
 def read(file: Path, quantity: str) -> Outcome:
     """Return the results of runs from their file."""
-    points = Points(open_results(file))
-    chi, seconds = points.value("chi"), float(points.value("cpu_seconds").sum())
+    data = open_results(file)
+    chi, seconds = np.atleast_2d(data["chi"]), float(data["cpu_seconds"].sum())
     if quantity == "transition":
-        value, scatter = transition_of_runs(points.threshold, chi)
+        value, scatter = transition_of_runs(np.atleast_1d(data["threshold"]), chi)
     else:
-        values = points.value(quantity)[0]
-        value, scatter = float(values.mean()), float(values.std(ddof=1))
+        value, scatter = float(data[quantity].mean()), float(data[quantity].std(ddof=1))
     return Outcome(value, scatter, chi.mean(axis=1), seconds)
 
 

@@ -41,11 +41,20 @@ from postproc.figures.passages import figure_lifetimes
 from postproc.figures.scene import figure_scene
 from postproc.figures.theories import add_models, asked
 from postproc.reading.grid import dataset_of, selected
-from postproc.reading.points import Points
+from postproc.reading.points import (
+    by_point,
+    files_of,
+    need_only,
+    remark,
+    say_if_partial,
+    task_of,
+    with_tasks,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    import xarray as xr
     from matplotlib.figure import Figure
 
 FIGURES: dict[str, Callable[..., Figure]] = {
@@ -97,33 +106,32 @@ def main(arguments: list[str] | None = None) -> int:
         style.save(FIGURES[name](), given.output, given.name)
         return 0
     files = [[one] for one in given.files] if name == "one_channel" else [given.files]
-    found = [Points(selected(dataset_of(one, verify=given.verify), dict(given.select)))
+    found = [by_point(selected(dataset_of(one, verify=given.verify), dict(given.select)))
              for one in files]  # fmt: skip
-    for points in found:
-        points.need_tasks()
-        if (points.shape == "urn") != name.startswith("urn") and name not in ANY_SHAPE:
-            raise cli.InputError(f"{points.files}: a run of shape '{points.shape}', not of "
+    for points in map(with_tasks, found):
+        shape = str(points.attrs.get("shape", "circuit"))
+        if (shape == "urn") != name.startswith("urn") and name not in ANY_SHAPE:
+            raise cli.InputError(f"{files_of(points)}: a run of shape '{shape}', not of "
                                  f"figure {given.name}")  # fmt: skip
     made = _drawn(name, found, given)
-    if remarks := [points.remark for points in found if points.remark]:
-        style.note(made.axes[0], "; ".join(remarks))
+    style.note(made.axes[0], "; ".join(filter(None, map(remark, found))))
     for points in found:
-        points.say_if_partial()
+        say_if_partial(points)
     style.save(made, given.output, f"{given.files[0].stem}_{given.name}")
     return 0
 
 
-def _drawn(name: str, found: list[Points], given: argparse.Namespace) -> Figure:
+def _drawn(name: str, found: list[xr.Dataset], given: argparse.Namespace) -> Figure:
     """Return the figure; the point and replica that are asked for are from 1."""
     draw, points = FIGURES[name], found[0]
     words = signature(draw).parameters
     more: dict[str, object] = {}
     if name in ONE_POINT and not given.point:
-        points.need_only()
+        need_only(points)
     if given.theory and "models" in words:
         more["models"] = asked(points, given.theory)
     if "task" in words:
-        task = points.task(given.point, given.replica)
+        task = task_of(points, given.point, given.replica)
         more |= {"task": task if given.point or given.replica or name in ONE_POINT else None}
     if "snapshot" in words and given.snapshot:
         more["snapshot"] = given.snapshot - 1

@@ -3,21 +3,23 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from postproc.figures import style
 from postproc.figures.theories import default
+from postproc.reading.points import groups, means, need_only
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    import xarray as xr
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
     from numpy.typing import NDArray
 
-    from postproc.reading.points import Points
+    from postproc.theory.circuit import Circuit
     from postproc.theory.model import Model
 
     Floats = NDArray[np.float64]
@@ -33,20 +35,35 @@ FILLS = (  # fill styles of app3's marks, one for each theory
 MARKS = {0: ("s", style.BLUE), 1: ("o", style.VERMILION), 2: ("^", style.GREEN)}
 
 
-def _theory(group: Points, thresholds: Floats, model: Model) -> Floats:
-    """Return a theory's current at given thresholds, for a group of one N and w."""
-    urn = group.circuit(0)
-    return model.urn_current(replace(urn, threshold=thresholds))
+class Group(NamedTuple):
+    """What was measured at one N and w, by increasing T, and the places of N and w among all."""
+
+    row: int
+    column: int
+    urn: Circuit
+    threshold: Floats
+    current: Floats
+    error: Floats
+
+    def theory(self, model: Model, threshold: Floats) -> Floats:
+        """Return a theory's current at given thresholds."""
+        return model.urn_current(replace(self.urn, threshold=threshold))
+
+    @property
+    def thresholds(self) -> Floats:
+        """All T up to the largest that was measured."""
+        return np.arange(0.0, min(self.threshold.max(), self.urn.number) + 1.0)
 
 
-def _groups(points: Points) -> list[tuple[int, int, Points]]:
-    """Return (index of N, index of w, points by T) for each pair of values."""
+def _groups(points: xr.Dataset) -> list[Group]:
+    need_only(points, "threshold", "number", "channel1_width")
+    numbers, widths = (np.unique(points[key]).tolist() for key in ("number", "channel1_width"))
     found = []
-    for row, number in enumerate(np.unique(points.number)):
-        for column, width in enumerate(np.unique(points.channel1_width)):
-            chosen = (points.number == number) & (points.channel1_width == width)
-            if chosen.any():
-                found.append((row, column, points.where(chosen).sorted_by_threshold()))
+    for _, part in groups(points, "number", "channel1_width"):
+        group = part.sortby("threshold")
+        urn, thresholds = group["circuit"].values[0], group["threshold"].values.astype(float)
+        place = numbers.index(urn.number), widths.index(urn.channel1_width)
+        found.append(Group(*place, urn, thresholds, *means(group, "current1")))
     return found
 
 
@@ -54,9 +71,9 @@ def _look(column: int) -> tuple[str, str]:
     return MARKS.get(column, ("D", style.CYCLE[column % len(style.CYCLE)]))
 
 
-def _panels(points: Points, height: float = 3.3) -> tuple[Figure, list[Axes]]:
+def _panels(points: xr.Dataset, height: float = 3.3) -> tuple[Figure, list[Axes]]:
     """Return a figure with a panel for each N, titled."""
-    numbers = np.unique(points.number)
+    numbers = np.unique(points["number"])
     made = style.figure(style.PAGE if numbers.size > 1 else 4.4, height)
     panels = list(made.subplots(1, numbers.size, squeeze=False, sharey=True)[0])
     for axes, number in zip(panels, numbers, strict=True):
@@ -71,29 +88,18 @@ def _explain(axes: Axes, lines: Sequence[tuple[str, str]]) -> None:
 
 
 @style.settings()
-def figure_urn_current(points: Points, models: Sequence[Model] = ()) -> Figure:
+def figure_urn_current(points: xr.Dataset, models: Sequence[Model] = ()) -> Figure:
     """Return the stationary current of the single urn against T/N, a panel for each N."""
     models = models or default(points)
-    points.need_only("threshold", "number", "channel1_width")
     made, panels = _panels(points)
-    for row, column, group in _groups(points):
-        mark, colour = _look(column)
-        label = f"$w = {group.channel1_width[0]:g}$" if row == 0 else None
-        panels[row].errorbar(
-            group.threshold / group.number,
-            group.current,
-            group.current_error,
-            fmt=mark,
-            color=colour,
-            mfc="none",
-            ms=3.6,
-            label=label,
-        )
-        thresholds = np.arange(0.0, min(group.threshold.max(), group.number[0]) + 1.0)
+    for group in _groups(points):
+        (mark, colour), axes, number = _look(group.column), panels[group.row], group.urn.number
+        label = f"$w = {group.urn.channel1_width:g}$" if group.row == 0 else None
+        axes.errorbar(group.threshold / number, group.current, group.error, fmt=mark, color=colour,
+                      mfc="none", ms=3.6, label=label)  # fmt: skip
         for model in models:
-            current = _theory(group, thresholds, model)
             look = {"color": colour, "ls": model.dashes, "lw": 0.9}
-            panels[row].plot(thresholds / group.number[0], current, **look)
+            axes.plot(group.thresholds / number, group.theory(model, group.thresholds), **look)
     _explain(panels[0], [(model.dashes, f"theory, {model.label}") for model in models])
     panels[0].set_ylabel("current (per unit time)")
     panels[0].set_ylim(bottom=0.0)
@@ -108,24 +114,23 @@ def relative_difference(current: Floats, error: Floats, expected: Floats) -> tup
 
 
 @style.settings()
-def figure_urn_difference(points: Points, models: Sequence[Model] = ()) -> Figure:
+def figure_urn_difference(points: xr.Dataset, models: Sequence[Model] = ()) -> Figure:
     """Return the relative difference of theory and measured current.
 
     Above, of the first theory (the paper's) and the second; below, on a scale of its own, of all
     but the first. Values below the upper panel are written at its edge.
     """
     models = models or default(points)
-    points.need_only("threshold", "number", "channel1_width")
-    count = np.unique(points.number).size
+    count = np.unique(points["number"]).size
     made = style.figure(style.PAGE if count > 1 else 4.4, 5.6)
     panels = made.subplots(2, count, squeeze=False, sharex=True, sharey="row")
     beyond, unknown = [], 0
-    for row, column, group in _groups(points):
-        mark, colour = _look(column)
-        fraction = group.threshold / group.number
+    for group in _groups(points):
+        (mark, colour), row = _look(group.column), group.row
+        fraction = group.threshold / group.urn.number
         for at, (model, fill) in enumerate(zip(models, FILLS, strict=False)):
-            expected = _theory(group, group.threshold, model)
-            difference, error = relative_difference(group.current, group.current_error, expected)
+            expected = group.theory(model, group.threshold)
+            difference, error = relative_difference(group.current, group.error, expected)
             lines = {"color": colour, "lw": 0.7, "ms": 4.4, "marker": mark, "ls": model.dashes}
             chosen = [axes for axes, shown in zip(panels[:, row], (at < 2, at > 0), strict=True)
                       if shown]  # fmt: skip
@@ -137,12 +142,12 @@ def figure_urn_difference(points: Points, models: Sequence[Model] = ()) -> Figur
                 beyond += [(panels[0, row], x, y, colour) for x, y
                            in zip(fraction[low], difference[low], strict=True)]  # fmt: skip
         if row == 0:
-            label = f"$w = {group.channel1_width[0]:g}$"
+            label = f"$w = {group.urn.channel1_width:g}$"
             panels[0, 0].plot([], [], mark, color=colour, ms=4.4, label=label)
     for model, fill in zip(models, FILLS, strict=False):
         look = {"color": style.GREY, "lw": 0.7, "ms": 4.4, "marker": "s", "ls": model.dashes}
         panels[0, 0].plot([], [], label=f"theory, {model.label}", **look, **fill)
-    for number, column in zip(np.unique(points.number), panels.T, strict=True):
+    for number, column in zip(np.unique(points["number"]), panels.T, strict=True):
         column[0].set_title(f"$N = {number:.0f}$")
         style.label_fraction(column[1])
     for axes in panels.flat:
@@ -174,34 +179,24 @@ def _mark_beyond(beyond: Sequence[tuple[Axes, float, float, str]]) -> None:
 
 
 @style.settings()
-def figure_urn_scaled(points: Points, models: Sequence[Model] = ()) -> Figure:
+def figure_urn_scaled(points: xr.Dataset, models: Sequence[Model] = ()) -> Figure:
     """Return currents and theory divided by N, against T/N, all N in one panel."""
     models = models or default(points)
-    points.need_only("threshold", "number", "channel1_width")
     made = style.figure(5.0, 3.7)
     axes = made.subplots()
-    groups = _groups(points)
-    lines = (":", "--", "-.")
-    last = max(row for row, _, _ in groups)
-    for row, column, group in groups:
-        mark, colour = _look(column)
-        number = group.number[0]
+    found, lines = _groups(points), (":", "--", "-.")
+    for group in found:
+        (mark, colour), number = _look(group.column), group.urn.number
         axes.errorbar(
-            group.threshold / number,
-            group.current / number,
-            group.current_error / number,
-            fmt=mark,
-            color=colour,
-            mfc=colour if row == last else "white",
-            ms=3.6,
-            label=f"$w = {group.channel1_width[0]:g}$, $N = {number:.0f}$",
-        )
-        thresholds = np.arange(0.0, min(group.threshold.max(), group.number[0]) + 1.0)
+            group.threshold / number, group.current / number, group.error / number, fmt=mark,
+            color=colour, mfc=colour if group.row == found[-1].row else "white", ms=3.6,
+            label=f"$w = {group.urn.channel1_width:g}$, $N = {number:.0f}$",
+        )  # fmt: skip
         for at, model in enumerate(models):
-            current = _theory(group, thresholds, model)
-            look = {"ls": lines[row % 3], "lw": 0.9} if at == 0 else {"ls": "-", "lw": 0.5}
-            axes.plot(thresholds / number, current / number, color=colour, **look)
-    numbers = np.unique(points.number)
+            current = group.theory(model, group.thresholds)
+            look = {"ls": lines[group.row % 3], "lw": 0.9} if at == 0 else {"ls": "-", "lw": 0.5}
+            axes.plot(group.thresholds / number, current / number, color=colour, **look)
+    numbers = np.unique(points["number"])
     explained = [
         (lines[at % 3], f"theory, {models[0].label}, $N = {one:.0f}$")
         for at, one in enumerate(numbers)

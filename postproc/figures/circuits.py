@@ -21,17 +21,19 @@ from postproc.figures.currents import (
 from postproc.figures.maps import STARTS, SYMBOLS, THRESHOLDS, WIDTH, equals, values_of
 from postproc.figures.theories import default
 from postproc.progress import each
+from postproc.reading.groups import series_of
+from postproc.reading.points import alike, groups, keys_of, means, need_only, with_tasks
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    import xarray as xr
     from matplotlib.axes import Axes
     from matplotlib.container import ErrorbarContainer
     from matplotlib.figure import Figure
     from matplotlib.lines import Line2D
     from numpy.typing import NDArray
 
-    from postproc.reading.points import Points, Series
     from postproc.theory.model import Model
 
     Floats = NDArray[np.float64]
@@ -47,28 +49,27 @@ PLACES = 60  # of a fast theory along another key
 EARLY = 3000.0  # time within which the transient battery at T = 2 decays
 
 
-def with_tasks(points: Points) -> Points:
+def few_points(points: xr.Dataset) -> xr.Dataset:
     """Return the points with a complete task, by T; raise `InputError` if they are too many."""
-    found = points.where(points.done.any(axis=1)).sorted_by_threshold()
-    if len(found) > MOST:
+    found = points.isel(point=points["complete"].any("replica").values).sortby("threshold")
+    if (count := found.sizes["point"]) > MOST:
         raise InputError(
-            f"a figure against time shows at most {MOST} points, here are {len(found)}: choose, "
+            f"a figure against time shows at most {MOST} points, here are {count}: choose, "
             "--select KEY=VALUE ... or data.sel(KEY=VALUE)"
         )
-    found.need_tasks()
-    return found
+    return with_tasks(found)
 
 
-def title(points: Points, at: int) -> str:
+def title(points: xr.Dataset, at: int) -> str:
     """Return what distinguishes a point: the keys of the scan, or N, T, w and w'."""
-    names = [name for name in points.keys if name not in STARTS]
+    names = [name for name in keys_of(points) if name not in STARTS]
     names = names or ["number", "threshold", "channel1_width", "channel2_width"]
-    return ", ".join(equals(name, points.column(name)[at]) for name in names)
+    return ", ".join(equals(name, float(points[name][at])) for name in names)
 
 
 @style.settings()
 def figure_flows(
-    points: Points, models: Sequence[Model] = (), task: tuple[int, int] | None = None
+    points: xr.Dataset, models: Sequence[Model] = (), task: tuple[int, int] | None = None
 ) -> Figure:
     """Return flows and net currents against time, a panel for each point by T, eta below.
 
@@ -76,19 +77,17 @@ def figure_flows(
     """
     chosen = None
     if task is not None:
-        points, chosen = points.where(np.array(task[:1])), task[1]
-    points = with_tasks(points)
-    count = len(points)
-    models = () if any(map(points.beyond_theory, range(count))) else models or default(points)
+        points, chosen = points.isel(point=[task[0]]), task[1]
+    points = few_points(points)
+    circuits, starts = points["circuit"].values, starts_of(points)
+    count = len(circuits)
+    models = () if any(one.beyond_theory for one in circuits) else models or default(points)
     made = style.figure(max(3.1 * count, 4.6), 5.4)
     cells = made.add_gridspec(1 + bool(models), count, height_ratios=(2.0, 1.0)[: 1 + bool(models)])
-    for at in range(count):
-        circuit = points.any_circuit(at)
-        first = int(np.flatnonzero(points.done[at])[0])
-        series = points.series(at, first if chosen is None else chosen)
-        panels = draw_currents(
-            made, cells[0, at], circuit, series, models, points.number2_at_start(at)
-        )
+    for at, circuit in enumerate(circuits):
+        first = int(points["complete"].values[at].argmax())
+        (series,) = series_of(points, at, first if chosen is None else chosen)
+        panels = draw_currents(made, cells[0, at], circuit, series, models, starts[at])
         panels[0].set_title(f"({chr(97 + at)})  {title(points, at)}" if count > 1
                             else title(points, at))  # fmt: skip
         for axes in panels if at > 0 else ():
@@ -106,15 +105,16 @@ def figure_flows(
 
 
 @style.settings()
-def figure_relaxation(points: Points, models: Sequence[Model] = ()) -> Figure:
+def figure_relaxation(points: xr.Dataset, models: Sequence[Model] = ()) -> Figure:
     """Return chi, and below it the polarised current, against time, a colour for each point.
 
     Mean over the replicas, and a band of their standard deviation. The beginning is shown on the
     left if the run is much longer.
     """
-    points = with_tasks(points)
+    points = few_points(points)
     models = models or default(points)
-    last = max(float(points.series(*task).time[-1]) for task in np.argwhere(points.done).tolist())
+    last = max(float(series["time"][-1]) for at in range(points.sizes["point"])
+               for series in series_of(points, at))  # fmt: skip
     ends = [last] if last < 3.0 * EARLY else [EARLY, last]
     made = style.figure(style.PAGE if len(ends) > 1 else 4.6, 4.8)
     panels = made.subplots(2, len(ends), squeeze=False, sharex="col", sharey="row")
@@ -128,19 +128,24 @@ def figure_relaxation(points: Points, models: Sequence[Model] = ()) -> Figure:
     return made
 
 
-def _spread(series: Series, number: float, _start: float) -> Floats:
-    return np.abs(number - 2.0 * series.urn1_number) / number
+def starts_of(points: xr.Dataset) -> list[float]:
+    """Return N2 at the start of each point's runs."""
+    return (points["number"] - points["urn1_number"]).values.astype(float).tolist()
 
 
-def _polarised_current(series: Series, number: float, start: float) -> Floats:
+def _spread(series: xr.Dataset, number: float, _start: float) -> Floats:
+    return np.abs(number - 2.0 * series["urn1_number"].values) / number
+
+
+def _polarised_current(series: xr.Dataset, number: float, start: float) -> Floats:
     """Return the current of channel 2 from the urn that is fuller in the middle of each interval.
 
     At its end those that crossed are missing from the urn that they left, which is less often the
     fuller one.
     """
-    before = np.concatenate([[start], series.urn1_number[:-1]])
-    fuller = np.sign(before + series.urn1_number - number)
-    return fuller * (series.flows["flow2_12"] - series.flows["flow2_21"])
+    first = series["urn1_number"].values
+    fuller = np.sign(np.concatenate([[start], first[:-1]]) + first - number)
+    return fuller * (series["flow2_12"] - series["flow2_21"]).values
 
 
 # What is drawn against time: its label, how it is found, steps along the axis, theory's field, and
@@ -154,7 +159,7 @@ MARGIN = 0.03  # of the axis of chi, for lines at its ends
 
 
 def draw_relaxation(
-    axes: Axes, points: Points, models: Sequence[Model], quantity: str, end: float = np.inf
+    axes: Axes, points: xr.Dataset, models: Sequence[Model], quantity: str, end: float = np.inf
 ) -> list[Line2D]:
     """Draw a quantity of each point against time up to `end`; return the lines of the means."""
     if quantity not in QUANTITIES:
@@ -163,27 +168,26 @@ def draw_relaxation(
         )
     label, quantity_of, steps, field, possible = QUANTITIES[quantity]
     lines = []
-    for at, colour in zip(range(len(points)), TIME_COLOURS, strict=False):
-        means = []
-        for series in points.all_series(at):
-            early = series.time <= end
-            number, start = points.number[at], points.value("urn1_number")[at]
-            values = quantity_of(series, number, start)[early]
-            middle, mean, _ = binned(series.time[early], values, steps)
-            means.append(mean)
-        shortest = min(map(len, means))
-        band = np.array([one[:shortest] for one in means])
+    circuits, starts = points["circuit"].values, starts_of(points)
+    for at, (circuit, colour) in enumerate(zip(circuits, TIME_COLOURS, strict=False)):
+        found, number = [], float(circuit.number)
+        for series in series_of(points, at):
+            time = series["time"].values
+            values = quantity_of(series, number, number - starts[at])[time <= end]
+            middle, mean, _ = binned(time[time <= end], values, steps)
+            found.append(mean)
+        shortest = min(map(len, found))
+        band = np.array([one[:shortest] for one in found])
         mean, deviation = band.mean(axis=0), band.std(axis=0, ddof=min(len(band) - 1, 1))
         lines += axes.plot(middle[:shortest], mean, color=colour, lw=1.1, label=title(points, at))
         if len(band) > 1:
             ends = np.clip([mean - deviation, mean + deviation], *possible)
             axes.fill_between(middle[:shortest], *ends, color=colour, alpha=0.25, lw=0)
         for model in models:
-            if not points.beyond_theory(at) and not model.refusal(circuit := points.circuit(at)):
-                state = model.reached(circuit, points.number2_at_start(at))
-                if state is not None:
-                    level = getattr(state, field)
-                    axes.axhline(level, color=colour, ls=model.dashes, lw=0.9)
+            if circuit.beyond_theory or model.refusal(circuit):
+                continue
+            if (state := model.reached(circuit, starts[at])) is not None:
+                axes.axhline(getattr(state, field), color=colour, ls=model.dashes, lw=0.9)
     for model in models:
         axes.plot([], [], ls=model.dashes, lw=0.9, **_theory_entry(model, lines))
     axes.set(xlabel="time $t$  (length / $v$)", ylabel=label)
@@ -196,19 +200,19 @@ def draw_relaxation(
     return lines
 
 
-def across_of(points: Points) -> tuple[str, str]:
+def across_of(points: xr.Dataset) -> tuple[str, str]:
     """Return the key along the axis of curves, T if it varies, and that of their marks, or ""."""
-    names = [name for name in points.keys if name not in STARTS]
+    names = [name for name in keys_of(points) if name not in STARTS]
     first = next((name for name in names if name in ("threshold", "threshold_fraction")), "")
     across = first or ("number" if "number" in names else (names or ["threshold"])[0])
     others = [name for name in names if name != across and
               not (across == "number" and name == "threshold")]  # fmt: skip
-    points.need_only(across, *others[:1])
+    need_only(points, across, *others[:1])
     return across, "".join(others[:1])
 
 
 def draw_curves(
-    axes: Axes, points: Points, models: Sequence[Model], quantity: str = "polarised_current",
+    axes: Axes, points: xr.Dataset, models: Sequence[Model], quantity: str = "polarised_current",
     against: str = "",
 ) -> list[ErrorbarContainer]:  # fmt: skip
     """Draw means of a variable against a key, or another variable; a mark for each second key.
@@ -216,26 +220,25 @@ def draw_curves(
     T/N is that of the whole T with which a fraction was run.
     """
     across, other = across_of(points)
-    groups = list(points.groups(*([other] if other else [])))
     as_share = across == "threshold_fraction" or (
-        across == "threshold" and np.unique(points.number).size == 1
+        across == "threshold" and np.unique(points["number"]).size == 1
     )
     known = {quantity, against or quantity} <= {*BRANCHES}
     theories = _theory_looks(models if known else (), across)
     drawn = []
-    for at, (value, part) in enumerate(groups):
+    for at, (value, part) in enumerate(groups(points, *([other] if other else []))):
         colour, mark = style.CYCLE[at % len(style.CYCLE)], MARKS[at % len(MARKS)]
-        group = part.where(np.argsort(part.column(across), kind="stable"))
-        places = group.threshold / group.number if as_share else group.column(across)
-        x, x_error = group.mean(against) if against else (places, None)
-        y, y_error = group.mean(quantity)
+        group = part.sortby(across)
+        places = (group["threshold"] / group["number"] if as_share else group[across]).values
+        x, x_error = means(group, against) if against else (places, None)
+        y, y_error = means(group, quantity)
         label = ", ".join(equals(name, one) for name, one in value.items())
         drawn.append(axes.errorbar(x, y, y_error, x_error, fmt=mark, color=colour, mfc="none",
                                    elinewidth=0.7, ms=3.8, label=label or "measured"))  # fmt: skip
         for model, look in theories:
             found = _branch(group, model, across)
             if found:
-                found["x"] = found["x"] / (group.number[0] if as_share else 1)
+                found["x"] = found["x"] / (float(group["number"][0]) if as_share else 1)
                 axes.plot(found[against or "x"], found[quantity], color=colour, **look)
     for model, look in theories:
         axes.errorbar([], [], **_theory_entry(model, [one.lines[0] for one in drawn]), **look)
@@ -244,7 +247,7 @@ def draw_curves(
     axes.set_ylabel(values_of(points, quantity)[1])
     axes.xaxis.set_major_locator(MaxNLocator(5))
     if across == "number" and not against:
-        style.ticks_at(axes, points.number.tolist())
+        style.ticks_at(axes, points["number"].values.tolist())
     return drawn
 
 
@@ -265,18 +268,19 @@ def _theory_looks(models: Sequence[Model], across: str) -> list[tuple[Model, dic
     return looks
 
 
-def _branch(group: Points, model: Model, across: str) -> dict[str, Floats]:
+def _branch(group: xr.Dataset, model: Model, across: str) -> dict[str, Floats]:
     """Return the states that a theory reaches from the start of the runs, by their place.
 
     Places are all whole T, or the points of other keys and, if it is fast, many between them.
     """
-    if any(map(group.beyond_theory, range(len(group)))) or model.refusal(group.circuit(0)):
+    circuits, starts = group["circuit"].values, starts_of(group)
+    if any(one.beyond_theory for one in circuits) or model.refusal(circuits[0]):
         return {}
     name = "threshold" if across in THRESHOLDS else across
-    known = places = group.column(name)
-    polygons = group.circuit(0).outline is not None  # with outlines of their own
+    known = places = group[name].values
+    polygons = circuits[0].outline is not None  # with outlines of their own
     if name == "threshold":
-        last = min(int(known.max()), int(group.number[0]))  # as for all above
+        last = min(int(known.max()), int(circuits[0].number))  # as for all above
         places = np.arange(max(int(known.min()), 1), last + 1)
     elif name not in WHOLE and model.mixed and not (name == "urn_radius" and polygons):
         places = np.union1d(known, np.linspace(known.min(), known.max(), PLACES))
@@ -284,14 +288,13 @@ def _branch(group: Points, model: Model, across: str) -> dict[str, Floats]:
     for place in each(places.tolist(), f"states, {model.label}, {name}"):
         at = int(np.argmin(np.abs(known - place)))
         value = int(place) if name in WHOLE else place
-        circuit = replace(group.circuit(at), **{name: value})
-        found = model.reached(circuit, group.number2_at_start(at))
+        found = model.reached(replace(circuits[at], **{name: value}), starts[at])
         states.append((math.nan,) * 2 if found is None else (found.mass_spread, found.net_current))
     return {"x": places, **dict(zip(BRANCHES, np.reshape(states, (-1, 2)).T, strict=True))}
 
 
 @style.settings()
-def figure_curves(points: Points, models: Sequence[Model] = ()) -> Figure:
+def figure_curves(points: xr.Dataset, models: Sequence[Model] = ()) -> Figure:
     """Return currents along the polarity against a key and against chi, one mark for each w'.
 
     The polarity is the instantaneous one, at all points: next to a transition chi does not decide
@@ -308,18 +311,18 @@ def figure_curves(points: Points, models: Sequence[Model] = ()) -> Figure:
     return made
 
 
-def draw_characteristic(axes: Axes, points: Points, models: Sequence[Model]) -> list[Line2D]:
+def draw_characteristic(axes: Axes, points: xr.Dataset, models: Sequence[Model]) -> list[Line2D]:
     """Draw the voltage U = ln(n2/n1) of the urns' densities against the net current J over a scan.
 
     On a second axis the power J U, full at its maximum. The densities follow from the means of chi,
     which in the homogeneous state is the size of fluctuations. Return the lines of U and of J U.
     """
-    points.circuit(0)  # both urns are alike
-    across = WIDTH if WIDTH in points.keys else across_of(points)[0]
-    points.need_only(across)
-    points = points.where(np.argsort(points.column(across), kind="stable"))
-    current, error = points.mean("polarised_current")
-    voltage, deviation = voltage_of(*points.mean("chi"))
+    alike(points)
+    across = WIDTH if WIDTH in keys_of(points) else across_of(points)[0]
+    need_only(points, across)
+    points = points.sortby(across)
+    current, error = means(points, "polarised_current")
+    voltage, deviation = voltage_of(*means(points, "chi"))
     shown = axes.errorbar(current, voltage, deviation, error, fmt="o", color=style.BLUE,
                           mfc="none", ms=3.8, lw=0.7, label="$U$, measured")  # fmt: skip
     right = axes.twinx()
@@ -328,7 +331,7 @@ def draw_characteristic(axes: Axes, points: Points, models: Sequence[Model]) -> 
     axes.plot([], [], "s:", mfc="none", label="$J U$, measured", **look)
     if np.isfinite(power).any():
         best = int(np.nanargmax(power))
-        where = equals(across, points.column(across)[best])
+        where = equals(across, float(points[across][best]))
         right.plot(current[best], power[best], "s", **look)
         axes.plot([], [], "s", label=f"largest $J U$, {power[best]:.3g} at {where}", **look)
     for model, look in _theory_looks(models, across):
@@ -352,7 +355,7 @@ def voltage_of(chi: Floats, error: Floats | float) -> tuple[Floats, Floats]:
 
 
 @style.settings()
-def figure_characteristic(points: Points, models: Sequence[Model] = ()) -> Figure:
+def figure_characteristic(points: xr.Dataset, models: Sequence[Model] = ()) -> Figure:
     """Return the characteristic of the battery, with a legend above."""
     made = style.figure(4.8, 3.8)
     axes = made.subplots()

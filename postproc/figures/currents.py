@@ -13,6 +13,7 @@ from postproc.figures import style
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    import xarray as xr
     from matplotlib.axes import Axes
     from matplotlib.container import ErrorbarContainer
     from matplotlib.figure import Figure
@@ -20,7 +21,6 @@ if TYPE_CHECKING:
     from matplotlib.lines import Line2D
     from numpy.typing import NDArray
 
-    from postproc.reading.points import Series
     from postproc.theory.circuit import Circuit
     from postproc.theory.model import Model
 
@@ -58,9 +58,9 @@ def binned(time: Floats, values: Floats, bins: int) -> Binned:
     return middle, mean, error
 
 
-def settled_number2(circuit: Circuit, series: Series) -> float:
+def settled_number2(circuit: Circuit, series: xr.Dataset) -> float:
     """Return the mean of N2 over the second half of the series."""
-    late = series.urn1_number[series.urn1_number.size // 2 :]
+    late = series["urn1_number"][series.sizes["time"] // 2 :]
     return float(circuit.number) - float(late.mean())
 
 
@@ -100,20 +100,20 @@ def explain_eta(axes: Axes) -> None:
 
 
 def draw_flows(
-    axes: Axes, circuit: Circuit, series: Series, models: Sequence[Model], start2: float
+    axes: Axes, circuit: Circuit, series: xr.Dataset, models: Sequence[Model], start2: float
 ) -> list[ErrorbarContainer]:
     """Draw flows (marks), net currents (lines), and both by theories, into one panel."""
     flows, nets, levels = _parts(circuit, series, models, start2)
     drawn = _draw(axes, flows, nets)
     for model, one in zip(models, levels, strict=True):
         _draw_levels(axes, model, one)
-    axes.set(xlim=(0.0, series.time[-1]), ylabel="flow (per unit time)",
+    axes.set(xlim=(0.0, float(series["time"][-1])), ylabel="flow (per unit time)",
              xlabel="time $t$  (length / $v$)")  # fmt: skip
     return drawn
 
 
 def _parts(
-    circuit: Circuit, series: Series, models: Sequence[Model], start2: float
+    circuit: Circuit, series: xr.Dataset, models: Sequence[Model], start2: float
 ) -> tuple[list[Binned], list[Binned], list[dict[str, float]]]:
     """Return flows and net currents, `binned`, and those of theories, by name.
 
@@ -127,14 +127,14 @@ def _parts(
         flipped = circuit.alike and (second > 0.5 * number) != (reached > 0.5 * number)
         found = model.levels(circuit, number - second if flipped else second)
         levels.append(found | {"current2": -found["current2"]})
-    flows = series.flows
+    time, flows = series["time"].values, {name: series[name].values for name in FLOW_LOOK}
     ways = (("flow1_12", "flow1_21"), ("flow2_21", "flow2_12"))
-    nets = [binned(series.time, flows[ahead] - flows[back], BINS) for ahead, back in ways]
-    return [binned(series.time, flows[name], MARKS) for name in FLOW_LOOK], nets, levels
+    nets = [binned(time, flows[ahead] - flows[back], BINS) for ahead, back in ways]
+    return [binned(time, flows[name], MARKS) for name in FLOW_LOOK], nets, levels
 
 
 def draw_currents(
-    made: Figure, cell: SubplotSpec, circuit: Circuit, series: Series, models: Sequence[Model],
+    made: Figure, cell: SubplotSpec, circuit: Circuit, series: xr.Dataset, models: Sequence[Model],
     start2: float,
 ) -> list[Axes]:  # fmt: skip
     """Draw flows (marks), net currents (lines), and both by theories; return the panels.
@@ -143,7 +143,8 @@ def draw_currents(
     is broken if a large part of it is empty, so there are one or two panels, the upper one first.
     """
     flows, nets, levels = _parts(circuit, series, models, start2)
-    settled = [mean[middle > START * series.time[-1]] for middle, mean, _ in [*flows, *nets]]
+    early = START * float(series["time"][-1])
+    settled = [mean[middle > early] for middle, mean, _ in [*flows, *nets]]
     ranges = _ranges(np.concatenate([*settled, *(list(one.values()) for one in levels)]))
     parts = cell.subgridspec(len(ranges), 1, hspace=0.0)
     panels = [made.add_subplot(part) for part in parts]

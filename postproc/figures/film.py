@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import subprocess
 import sys
+from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
@@ -20,7 +21,8 @@ from postproc.figures.currents import binned
 from postproc.figures.scene import counted_by, draw_table, of_side
 from postproc.progress import each
 from postproc.reading.grid import dataset_of
-from postproc.reading.points import Points
+from postproc.reading.groups import group_of, series_of, snapshots_of
+from postproc.reading.points import by_point, files_of, say_if_partial, task_of
 from postproc.theory import outlines
 
 if TYPE_CHECKING:
@@ -30,7 +32,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from numpy.typing import NDArray
 
-    from postproc.reading.points import Series, Snapshot
+    from postproc.reading.groups import Snapshot
     from postproc.theory.circuit import Circuit
 
     Floats = NDArray[np.float64]
@@ -62,7 +64,7 @@ class Scenes:
 
     circuit: Circuit
     snapshots: list[Snapshot]
-    series: Series | None = None
+    series: xr.Dataset | None = None
     reversals: tuple[Floats, Floats] = field(default_factory=lambda: (np.empty(0), np.empty(0)))
 
     @property
@@ -71,18 +73,18 @@ class Scenes:
         return np.array([snapshot.time for snapshot in self.snapshots])
 
 
-def read_scenes(points: Points, point: int, replica: int) -> Scenes:
+def read_scenes(points: xr.Dataset, point: int, replica: int) -> Scenes:
     """Read the data for a film of one task."""
-    snapshots = points.snapshots(point, replica)
+    snapshots = snapshots_of(points, point, replica)
     if len(snapshots) < 2:
-        raise cli.InputError(f"{points.files}: a film needs at least two snapshots")
-    scenes = Scenes(points.any_circuit(point), snapshots)
-    if points.has_group("series"):
-        scenes.series = points.series(point, replica)
-    log = points.events()
-    if log:
-        turned = log["kind"] == 2
-        scenes.reversals = (log["time"][turned], log["where"][turned])
+        raise cli.InputError(f"{files_of(points)}: a film needs at least two snapshots")
+    scenes = Scenes(points["circuit"].values[point], snapshots)
+    with suppress(cli.InputError):  # none
+        (scenes.series,) = series_of(points, point, replica)
+    with suppress(cli.InputError):
+        log = group_of(points, "events")
+        turned = log.isel(event=np.flatnonzero(log["kind"] == 2))
+        scenes.reversals = turned["time"].values, turned["where"].values
     return scenes
 
 
@@ -223,12 +225,11 @@ class Stage:
         chi = [abs(total - 2 * np.count_nonzero(one.x < 0.0)) / total for one in scenes.snapshots]
         shown = [times[0], times[-1]]
         if scenes.series is not None:
-            inside = (scenes.series.time >= times[0]) & (scenes.series.time <= times[-1])
-            if np.count_nonzero(inside) > 2:
-                chi = np.abs(total - 2.0 * scenes.series.urn1_number[inside]) / total
-                times = scenes.series.time[inside]
-                flows = scenes.series.flows
-                net = (flows["flow2_12"] - flows["flow2_21"])[inside]
+            inside = scenes.series.sel(time=slice(times[0], times[-1]))
+            if inside.sizes["time"] > 2:
+                chi = np.abs(total - 2.0 * inside["urn1_number"].values) / total
+                times = inside["time"].values
+                net = (inside["flow2_12"] - inside["flow2_21"]).values
                 middle, mean, _ = binned(times, net, 40)
                 right = below.twinx()
                 mean = mean * (np.sign(net[net.size // 2 :].mean()) or 1.0)
@@ -326,12 +327,12 @@ def film(
     """
     if not (isinstance(seconds, (int, float)) and 0.0 < seconds <= 3600.0):
         raise cli.InputError(f"seconds = {seconds} must lie above 0 and up to 3600")
-    points = Points(dataset_of(results, verify=verify))
-    scenes = read_scenes(points, *points.task(point, replica))
-    points.say_if_partial()
+    points = by_point(dataset_of(results, verify=verify))
+    scenes = read_scenes(points, *task_of(points, point, replica))
+    say_if_partial(points)
     if not joined(scenes.times):
         told = f"snapshots more than {CLOSE} apart follow each other without flight"
-        print(f"{points.files}: {told}", file=sys.stderr)
+        print(f"{files_of(points)}: {told}", file=sys.stderr)
     path = cli.file_to_write(cli.path_of(file, "file"))
     cli.output_folder(path.parent)
     write(scenes, seconds, path)

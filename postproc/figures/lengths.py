@@ -8,14 +8,13 @@ import numpy as np
 
 from postproc.figures import style
 from postproc.figures.scene import counted_by, draw_table, ways
-from postproc.reading.points import Snapshot
+from postproc.reading.groups import Snapshot, snapshot_of
 from postproc.theory.circuit import Circuit
 
 if TYPE_CHECKING:
+    import xarray as xr
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-
-    from postproc.reading.points import Points
 
 SHOWN = 40  # particles of a run that are drawn, at most
 # wider than in the paper's runs, so that all lengths are visible
@@ -52,22 +51,22 @@ def _measure(
         axes.text(middle, level - 0.05, text, ha="center", va="top")
 
 
-def figure_circuit(points: Points | None = None, task: tuple[int, int] = (0, 0)) -> Figure:
+def figure_circuit(points: xr.Dataset | None = None, task: tuple[int, int] = (0, 0)) -> Figure:
     """Return the table, with some particles of a task's first snapshot if there are points."""
     return _figure(EXAMPLE, points, task)
 
 
-def figure_urn(points: Points | None = None, task: tuple[int, int] = (0, 0)) -> Figure:
+def figure_urn(points: xr.Dataset | None = None, task: tuple[int, int] = (0, 0)) -> Figure:
     """Return the single urn of the appendix, with its gate and its end wall."""
     return _figure(URN, points, task)
 
 
 @style.settings()
-def _figure(circuit: Circuit, points: Points | None, task: tuple[int, int]) -> Figure:
+def _figure(circuit: Circuit, points: xr.Dataset | None, task: tuple[int, int]) -> Figure:
     if points is None:
         snapshot, said = example_snapshot(circuit), ""
     else:
-        circuit, full = points.any_circuit(task[0]), points.snapshot(*task, 0)
+        circuit, full = points["circuit"].values[task[0]], snapshot_of(points, *task, 0)
         step = -(-full.x.size // SHOWN)
         parts = [part[::step] for part in (full.x, full.y, full.ux, full.uy)]
         snapshot = Snapshot(full.time, *parts)

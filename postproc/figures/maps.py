@@ -5,20 +5,22 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
+import pandas as pd
 
 from postproc import cli
 from postproc.figures import style
 from postproc.figures.theories import default
+from postproc.reading.points import groups, keys_of, means, need_only
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    import xarray as xr
     from matplotlib.axes import Axes
     from matplotlib.collections import QuadMesh
     from matplotlib.figure import Figure
     from numpy.typing import NDArray
 
-    from postproc.reading.points import Points
     from postproc.theory.circuit import Circuit
     from postproc.theory.model import Model
 
@@ -55,43 +57,31 @@ def axes_of(keys: Sequence[str]) -> Keys:
     return "".join(names[:1]), up
 
 
-def map_axes(points: Points) -> Keys:
+def map_axes(points: xr.Dataset) -> Keys:
     """Return the keys along the axes of a map; raise `InputError` unless there are two."""
-    across, up = axes_of(list(points.keys))
+    keys = keys_of(points)
+    across, up = axes_of(list(keys))
     if not up:
         found = f"{across} alone was scanned" if across else "here is one point"
     else:
-        places = set(zip(points.keys[across], points.keys[up], strict=True))
+        places = set(zip(keys[across], keys[up], strict=True))
         if any(len(set(one)) < len(places) for one in zip(*places, strict=True)):
             return across, up
         found = f"{across} and {up} change together"
     raise cli.InputError(f"a map needs two keys, {found}: figure 'curves' shows it")
 
 
-def columns_of(points: Points, keys: Keys) -> tuple[tuple[Floats, str], tuple[Floats, str]]:
-    """Return the values along the axes of a map at each point, and their labels; T as T/N."""
-    found = []
-    for name in keys:
-        values, label = points.column(name), SYMBOLS.get(name, name)
-        if name == "threshold" and np.unique(points.number).size == 1:
-            values, label = values / points.number, "$T/N$"
-        found.append((values, label))
-    return found[0], found[1]
-
-
-def grid(points: Points, keys: Keys, values: Floats) -> tuple[Floats, Floats, Floats]:
-    """Return the values along x and y, and `values` as a map, shape (y, x), NaN without a point.
+def map_of(points: xr.Dataset, keys: Keys, values: Sequence[object]) -> pd.DataFrame:
+    """Return `values` at points as a map over two keys, shape (up, across), NaN without a point.
 
     Raises `InputError` if two points have the same place.
     """
-    (across, _), (up, _) = columns_of(points, keys)
-    x, columns = np.unique(across, return_inverse=True)
-    y, rows = np.unique(up, return_inverse=True)
-    filled = np.full((y.size, x.size), np.nan)
-    if len(set(zip(rows, columns, strict=True))) < values.size:
-        raise cli.InputError("two points have the same T, w' and start: a map shows one")
-    filled[rows, columns] = values
-    return x, y, filled
+    across, up = (points[name].values for name in keys)
+    try:
+        return pd.Series(values, [up, across]).unstack()
+    except ValueError as problem:  # duplicates
+        message = "two points have the same T, w' and start: a map shows one"
+        raise cli.InputError(message) from problem
 
 
 def edges(centres: Floats) -> Floats:
@@ -103,17 +93,14 @@ def edges(centres: Floats) -> Floats:
     return np.concatenate([[first], middle, [last]])
 
 
-def by_start(points: Points) -> list[tuple[str, Points]]:
+def by_start(points: xr.Dataset) -> list[tuple[str, xr.Dataset]]:
     """Return the points of each chi(0), by increasing chi(0), with a title."""
-    return [
-        (rf"$\chi(0) = {start:.3g}$", points.where(points.start == start))
-        for start in np.unique(points.start)
-    ]
+    return [(rf"$\chi(0) = {one['start']:.3g}$", part) for one, part in groups(points, "start")]
 
 
-def transition_lines(points: Points, circuit: Circuit, models: Sequence[Model]) -> list[Line]:
+def transition_lines(points: xr.Dataset, models: Sequence[Model]) -> list[Line]:
     """Return (T/N, w', dashes, label) of the transition lines of theories that have one."""
-    last, lines = int(points.threshold.max()) + 1, []
+    circuit, last, lines = points["circuit"].values[0], int(points["threshold"].max()) + 1, []
     for model in models:
         thresholds, widths = model.transition_line(circuit, 1, last)
         if np.isfinite(widths).any():
@@ -135,30 +122,31 @@ def has_lines(keys: Keys) -> bool:
     return keys[0] in THRESHOLDS and keys[1] == WIDTH
 
 
-def of_theory(points: Points, keys: Keys, models: Sequence[Model]) -> tuple[list[Line], Floats]:
+def of_theory(points: xr.Dataset, keys: Keys, models: Sequence[Model]) -> tuple[list[Line], Floats]:
     """Return lines and tricritical points of theories; raise `InputError` over other keys."""
     if models and not has_lines(keys):
         raise cli.InputError(
             f"theories have lines over threshold and {WIDTH}, not over {' and '.join(keys)}"
         )
-    if points.beyond_theory(0) or not models:
+    circuit = points["circuit"].values[0]
+    if circuit.beyond_theory or not models:
         return [], np.empty((2, 0))
-    circuit = points.circuit(0)
-    return transition_lines(points, circuit, models), tricritical_places(circuit, models)
+    return transition_lines(points, models), tricritical_places(circuit, models)
 
 
 def draw_map(
-    axes: Axes, points: Points, keys: Keys, values: Floats, look: dict[str, object]
+    axes: Axes, points: xr.Dataset, keys: Keys, values: Floats, look: dict[str, object]
 ) -> QuadMesh:
     """Draw values at points as cells, grey where there is none; return matplotlib's mesh."""
-    x, y, filled = grid(points, keys, values)
+    shown = map_of(points, keys, values)
+    x, y = (edges(one.to_numpy(float)) for one in (shown.columns, shown.index))
+    labels, number = [SYMBOLS.get(name, name) for name in keys], np.unique(points["number"])
+    if keys[0] == "threshold" and number.size == 1:
+        x, labels[0] = x / number[0], SYMBOLS["threshold_fraction"]
     axes.set_facecolor("#D0D0D0")
-    mesh = axes.pcolormesh(edges(x), edges(y), np.ma.masked_invalid(filled), **look)
+    mesh = axes.pcolormesh(x, y, np.ma.masked_invalid(shown), **look)
     mesh.set_rasterized(True)
-    (across, label_across), (up, label_up) = columns_of(points, keys)
-    axes.set(xlabel=label_across, ylabel=label_up, xlim=edges(np.unique(across))[[0, -1]])
-    low, high = edges(np.unique(up))[[0, -1]]
-    axes.set_ylim(max(low, 0.0), high)
+    axes.set(xlabel=labels[0], ylabel=labels[1], xlim=x[[0, -1]], ylim=(max(y[0], 0.0), y[-1]))
     return mesh
 
 
@@ -174,31 +162,32 @@ def draw_lines(axes: Axes, lines: Sequence[Line], marks: Floats) -> None:
     axes.set(xlim=limits[0], ylim=limits[1])
 
 
-def values_of(points: Points, name: str) -> tuple[Floats, str, dict[str, object]]:
+def values_of(points: xr.Dataset, name: str) -> tuple[Floats, str, dict[str, object]]:
     """Return means over replicas of a variable, a label, and the look of their map."""
-    if name not in LOOKS and not (points.has(name) and "replica" in points.data[name].dims):
+    if name not in LOOKS and not (name in points and "replica" in points[name].dims):
         raise cli.InputError(f"there is no variable {name!r} of runs to draw, such as chi")
-    about = points.data[name].attrs if points.has(name) else {}
+    about = points[name].attrs if name in points else {}
     label, look = LOOKS.get(name, (about.get("long_name", name), {}))
-    return points.mean(name)[0], label, dict(look)
+    return means(points, name)[0], label, dict(look)
 
 
 @style.settings()
-def figure_phase_diagram(points: Points, models: Sequence[Model] = ()) -> Figure:
+def figure_phase_diagram(points: xr.Dataset, models: Sequence[Model] = ()) -> Figure:
     """Return maps of chi and current, a row for each start, and of the difference of two starts.
 
     The current is counted along the instantaneous polarity: one with a fixed sign would cancel if
     the polarity reverses in a run.
     """
     keys = map_axes(points)
-    points.need_only(*keys, "start")
+    need_only(points, *keys, "start")
     models = models or (default(points) if has_lines(keys) else ())
     lines, marks = of_theory(points, keys, models)
     starts = by_start(points)
     rows = len(starts) + (len(starts) == 2)
     made = style.figure(style.PAGE, 0.5 + 2.35 * rows)
     panels = made.subplots(rows, 2, squeeze=False, sharex=True, sharey=True)
-    most = float(np.nanmax(points.current, initial=0.0)) or 1.0  # no current without channel 2
+    currents = means(points, "polarised_current")[0]
+    most = float(np.nanmax(currents, initial=0.0)) or 1.0  # no current without channel 2
     for row, (name, part) in enumerate(starts):
         for axes, quantity in zip(panels[row], LOOKS, strict=True):
             values, label, look = values_of(part, quantity)
@@ -218,13 +207,13 @@ def _draw_differences(
     made: Figure,
     panels: Sequence[Axes],
     keys: Keys,
-    starts: list[tuple[str, Points]],
+    starts: list[tuple[str, xr.Dataset]],
     lines: Sequence[Line],
     marks: Floats,
 ) -> None:
     """Draw the result of the more polarised start minus that of the other."""
     (name, one), (other_name, other) = starts
-    places = [list(zip(*map(part.column, keys), strict=True)) for part in (one, other)]
+    places = [list(zip(*(part[key].values for key in keys), strict=True)) for part in (one, other)]
     pairs = [(places[0].index(key), at) for at, key in enumerate(places[1]) if key in places[0]]
     if not pairs:
         raise cli.InputError("figure numris: the two starts have no point in common")
@@ -234,7 +223,7 @@ def _draw_differences(
         difference = values[second] - values_of(one, quantity)[0][first]
         most = max(float(np.nanmax(np.abs(difference), initial=0.0)), 1e-9)
         look = {"vmin": -most, "vmax": most, "cmap": "PuOr"}
-        mesh = draw_map(axes, other.where(second), keys, difference, look)
+        mesh = draw_map(axes, other.isel(point=second), keys, difference, look)
         draw_lines(axes, lines, marks)
         made.colorbar(mesh, ax=axes, pad=0.02)
         axes.set_title(f"{label}\n{other_name} less {name}")

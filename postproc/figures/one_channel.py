@@ -17,19 +17,20 @@ import numpy as np
 
 from postproc.cli import InputError
 from postproc.figures import style
-from postproc.figures.maps import edges
+from postproc.figures.maps import edges, map_of
+from postproc.reading.points import alike, files_of, groups, keys_of, means
 from postproc.theory.circuit import gate_load, in_urn, log_outflow
 from postproc.theory.models import MODELS
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
+    import xarray as xr
     from matplotlib.axes import Axes
     from matplotlib.collections import QuadMesh
     from matplotlib.figure import Figure
     from numpy.typing import NDArray
 
-    from postproc.reading.points import Points
     from postproc.theory.circuit import Circuit
     from postproc.theory.model import Model
 
@@ -61,7 +62,7 @@ class Plane:
     circuit : the circuit of the first point.
     keys : keys along x and y, of `KEYS`.
     x, y : its values; where T varies it does along y.
-    chi, chi_error : mean over the replicas and its standard error, shape (y, x).
+    chi : mean over the replicas, shape (y, x).
     start : chi at the beginning.
     """
 
@@ -70,7 +71,6 @@ class Plane:
     x: Floats
     y: Floats
     chi: Floats
-    chi_error: Floats
     start: float
 
     def at(self, x: Floats, y: Floats) -> Circuit:
@@ -78,35 +78,27 @@ class Plane:
         return replace(self.circuit, **dict(zip(self.keys, (x, y), strict=True)))
 
 
-def planes_of(points: Points) -> list[Plane]:
+def planes_of(points: xr.Dataset) -> list[Plane]:
     """Return the planes of points, one for each other key; an error if there is none."""
-    names = [name for name in points.keys if name in KEYS]
+    names = [name for name in KEYS if name in keys_of(points)]
     if len(names) > 2:
         raise InputError("figure one_channel: more than two of l, w, r and T vary: select")
-    others = [name for name in points.keys if name not in KEYS]
-    return [_plane(part, names) for _, part in points.groups(*others)]
+    others = [name for name in keys_of(points) if name not in KEYS]
+    return [_plane(part, names) for _, part in groups(points, *others)]
 
 
-def _plane(points: Points, names: list[str]) -> Plane:
-    columns = {key: points.value(key) for key in KEYS}
-    varying = [key for key in KEYS if key in names]
-    first = points.circuit(0)
-    if len(varying) != 2:
+def _plane(points: xr.Dataset, keys: list[str]) -> Plane:
+    first, *_ = alike(points)
+    if len(keys) != 2:
         raise InputError(
-            f"{points.files}: figure one_channel needs a scan over two of l, w, r and T; here "
-            f"{' '.join(varying) or 'none of them'} varies"
+            f"{files_of(points)}: figure one_channel needs a scan over two of l, w, r and T; here "
+            f"{' '.join(keys) or 'none of them'} varies"
         )
     if float(first.channel2_width) > 0.0:
-        raise InputError(f"{points.files}: figure one_channel needs channel2_width = 0")
-    for point in range(len(points)):
-        points.circuit(point)  # both urns and gates are alike
-    (x, at_x), (y, at_y) = (np.unique(columns[key], return_inverse=True) for key in varying)
-    maps = []
-    for values in (points.chi, points.chi_error):
-        filled = np.full((y.size, x.size), math.nan)
-        filled[at_y, at_x] = values
-        maps.append(filled)
-    return Plane(first, (varying[0], varying[1]), x, y, *maps, float(points.start[0]))
+        raise InputError(f"{files_of(points)}: figure one_channel needs channel2_width = 0")
+    chi = map_of(points, (keys[0], keys[1]), means(points, "chi")[0])
+    places = chi.columns.to_numpy(float), chi.index.to_numpy(float)
+    return Plane(first, (keys[0], keys[1]), *places, chi.to_numpy(), float(points["start"][0]))
 
 
 def relative_load(circuit: Circuit) -> Floats:
@@ -242,9 +234,8 @@ def _cell(loads: Floats, measured: Floats, name: str) -> str:
 
 
 @style.settings()
-def figure_one_channel(points: Points | Sequence[Points], models: Sequence[Model] = PAIR) -> Figure:
+def figure_one_channel(given: Sequence[xr.Dataset], models: Sequence[Model] = PAIR) -> Figure:
     """Return a map for each plane, and below chi at one T against N w l/(8 T A)."""
-    given = points if isinstance(points, (list, tuple)) else [points]
     planes = sorted(
         (plane for part in given for plane in planes_of(part)),
         key=lambda one: (one.circuit.number, *(list(KEYS).index(key) for key in one.keys)),

@@ -17,15 +17,17 @@ from scipy import stats
 
 from postproc.figures import style
 from postproc.figures.theories import default
+from postproc.reading.groups import each_series
+from postproc.reading.points import alike
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    import xarray as xr
     from matplotlib.axes import Axes
     from matplotlib.container import ErrorbarContainer
     from matplotlib.figure import Figure
 
-    from postproc.reading.points import Points, Series
     from postproc.theory.circuit import Circuit
     from postproc.theory.model import Model
 
@@ -87,36 +89,36 @@ def estimate(times: Sequence[float], passed: Sequence[bool]) -> tuple[float, flo
     return mean, 2.0 * total / float(most), 2.0 * total / float(least)
 
 
-def first_passage(series: Series, number: int, barrier: float, below: bool) -> tuple[float, bool]:
+def first_passage(
+    series: xr.Dataset, number: int, barrier: float, below: bool
+) -> tuple[float, bool]:
     """Return when chi first gets below (or above) `barrier` in a series, and whether it does.
 
     Without a passage: how long the series lasts, which bounds the lifetime from below.
     """
-    chi = np.abs(2.0 * series.urn1_number - number) / number
+    chi, time = np.abs(2.0 * series["urn1_number"].values - number) / number, series["time"].values
     passed = np.flatnonzero(chi < barrier if below else chi > barrier)
     if passed.size == 0:
-        return float(series.time[-1]), False
-    return float(series.time[passed[0]]), True
+        return float(time[-1]), False
+    return float(time[passed[0]]), True
 
 
-def measured(points: Points) -> list[Lifetime]:
+def measured(points: xr.Dataset) -> list[Lifetime]:
     """Return the lifetimes at all points, by the first passages of their replicas.
 
     Runs of one circuit and one kind of start are combined.
     """
     passages: dict[tuple[Circuit, bool], list[tuple[float, bool]]] = {}
-    for at in range(len(points)):
-        polarised = bool(points.start[at] > MIDDLE)
-        number, level = int(points.number[at]), LOW if polarised else HIGH
-        found = passages.setdefault((points.circuit(at), polarised), [])
-        found += [first_passage(one, number, level, polarised) for one in points.all_series(at)]
+    circuits, starts = alike(points), points["start"].values
+    for at, series in each_series(points):
+        circuit, polarised = circuits[at], bool(starts[at] > MIDDLE)
+        passage = first_passage(series, circuit.number, LOW if polarised else HIGH, polarised)
+        passages.setdefault((circuit, polarised), []).append(passage)
     lifetimes = []
     for (circuit, polarised), found in passages.items():
-        if found:
-            times, passed = zip(*found, strict=True)
-            count, total = int(np.count_nonzero(passed)), len(times)
-            estimated = estimate(times, passed)
-            lifetimes.append(Lifetime(circuit, polarised, count, total, *estimated))
+        times, passed = zip(*found, strict=True)
+        count, estimated = int(np.count_nonzero(passed)), estimate(times, passed)
+        lifetimes.append(Lifetime(circuit, polarised, count, len(times), *estimated))
     return lifetimes
 
 
@@ -145,7 +147,7 @@ def _short(time: float) -> str:
 
 
 @style.settings()
-def figure_lifetimes(points: Points, models: Sequence[Model] = ()) -> Figure:
+def figure_lifetimes(points: xr.Dataset, models: Sequence[Model] = ()) -> Figure:
     """Return lifetimes against N, a panel for each T and l: marks measured, lines the chains."""
     found = measured(points)
     models = models or default(points)

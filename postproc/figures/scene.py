@@ -8,17 +8,19 @@ import numpy as np
 from matplotlib.patches import Circle, Rectangle
 
 from postproc.figures import style
+from postproc.reading.groups import snapshot_of
 from postproc.theory import outlines
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    import xarray as xr
     from matplotlib.axes import Axes
     from matplotlib.collections import PathCollection
     from matplotlib.figure import Figure
     from numpy.typing import ArrayLike, NDArray
 
-    from postproc.reading.points import Points, Snapshot
+    from postproc.reading.groups import Snapshot
     from postproc.theory.circuit import Circuit
 
 GATE_TINT = "#E8E8E8"
@@ -210,9 +212,9 @@ def _count_text(circuit: Circuit, snapshot: Snapshot) -> list[str]:
     ]
 
 
-def figure_scene(points: Points, task: tuple[int, int], snapshot: int = -1) -> Figure:
+def figure_scene(points: xr.Dataset, task: tuple[int, int], snapshot: int = -1) -> Figure:
     """Return the picture of a snapshot of a task: the whole table, and channel 1 enlarged."""
-    return picture_of(points.any_circuit(task[0]), points.snapshot(*task, snapshot))
+    return picture_of(points["circuit"].values[task[0]], snapshot_of(points, *task, snapshot))
 
 
 @style.settings()

@@ -5,31 +5,33 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from postproc.cli import InputError
+from postproc.reading.points import files_of, scatterers_of
 from postproc.theory.models import FEW, MODELS, defaults, named
 
 if TYPE_CHECKING:
     import argparse
     from collections.abc import Sequence
 
-    from postproc.reading.points import Points
+    import xarray as xr
+
     from postproc.theory.model import Model
 
 
-def default(points: Points) -> tuple[Model, ...]:
+def default(points: xr.Dataset) -> tuple[Model, ...]:
     """Return the theories to draw beside points where none is named, `theory.models.defaults`.
 
     None if there are discs in channel 2, which no theory has.
     """
-    return () if points.scatterers else defaults(points.circuits)
+    return () if scatterers_of(points) else defaults(points["circuit"].values)
 
 
-def asked(points: Points, names: Sequence[str]) -> tuple[Model, ...]:
+def asked(points: xr.Dataset, names: str | Sequence[str]) -> tuple[Model, ...]:
     """Return theories by their names; raise `InputError` if one does not apply to all points."""
-    circuits = points.circuits if names else []
-    for point in range(len(circuits)):
-        if points.beyond_theory(point):
-            what = circuits[point].unlike or "discs in channel 2"
-            raise InputError(f"{points.files}: no theory is drawn beside {what}, at point {point}")
+    circuits = points["circuit"].values if names else []
+    for at, circuit in enumerate(circuits):
+        if circuit.beyond_theory:
+            what = circuit.unlike or "discs in channel 2"
+            raise InputError(f"{files_of(points)}: no theory is drawn beside {what}, at point {at}")
     return named(names, circuits)
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from functools import partial
+from functools import cache, partial
 from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -15,9 +15,19 @@ import pandas as pd
 import xarray as xr
 
 from postproc.cli import InputError, path_of
-from postproc.reading.points import COMPLETE, NOT_ASKED, PARAMETERS, Points, flat, mean_error
+from postproc.progress import each
+from postproc.reading.groups import GROUPS, group_of
+from postproc.reading.points import (
+    COMPLETE,
+    NOT_ASKED,
+    PARAMETERS,
+    by_point,
+    flat,
+    mean_error,
+    scatterers_of,
+)
 from postproc.reading.results_file import ResultsFile
-from postproc.theory.models import MODELS, defaults, named
+from postproc.theory.models import defaults, named
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -25,10 +35,10 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from postproc.theory.circuit import Circuit
+    from postproc.theory.model import Model
 
     Axes = dict[str, tuple[NDArray[np.generic], dict[str, object]]]
 
-GROUPS = ("series", "snapshots", "final", "events")
 SIDES = {"gate_threshold": ("gate", "threshold"), "urn_radius": ("urn", "urn_radius")}
 TABLE = ("shape", "urn_shape", "urn_sides", "urn_vertices", "urn2_vertices", "scatterers")
 UNSAID = {"created", "files", "namelist", "status", "tasks", "mpi_ranks", "scan", "differs"}
@@ -88,81 +98,52 @@ def open_results(
         A `ValueError` of one line: the file is not there, damaged, of another version, or not of
         this program; there is no such theory or group; the theory is not for this table.
     """
-    models = _names(theory)
+    models = _models(theory)
     if not (group is None or (isinstance(group, str) and group in GROUPS)):
         raise InputError(f"there is no group {group!r}; there are {', '.join(GROUPS)}")
-    data = _read(path_of(file, "file"), group, {}, verify=verify)
-    return with_theory(data, theory) if group is None and (models or theory is True) else data
+    data = _read(path_of(file, "file"), verify=verify)
+    if group is not None:
+        return group_of(data, group)
+    return with_theory(data, theory) if models or theory is True else data
 
 
-def _read(
-    path: Path, group: str | None, chosen: dict[str, NDArray[np.generic]], *, verify: bool
-) -> xr.Dataset:
-    """Return the averages of a file or a group of it, of the chosen values of keys and replicas."""
+def _read(path: Path, *, verify: bool) -> xr.Dataset:
+    """Return the averages of a file."""
     with ResultsFile(path, verify=verify) as opened, opened.damage_reported():
-        if group is not None and not opened.has(group):
-            raise InputError(f"{path}: has no {group}")
-        axes, attributes, (points, replicas) = opened.axes(), opened.attributes, opened.shape
-        places: dict[str, Sequence[int]] = {
-            "replica": _places(np.arange(replicas), chosen.get("replica"))
-        }
-        if axes is not None:
-            at = {key: _places(values, chosen.get(key)) for key, (values, _) in axes.items()}
-            grid = np.arange(points).reshape([len(values) for values, _ in axes.values()])
-            places["point"] = np.ravel(grid[np.ix_(*at.values())]).tolist()
-            axes = {key: (values[at[key]], about) for key, (values, about) in axes.items()}
-        part = places if chosen else {}
-        data = opened.dataset(None, part)
-        inner = opened.dataset(group, part) if group is not None else None
+        axes, attributes, data = opened.axes(), opened.attributes, opened.dataset()
         if "task_status" not in data:  # of before version 0.2.0
             data["task_status"] = xr.where(np.isfinite(data["current1"]), COMPLETE, 2)
         known = data["task_status"] == COMPLETE
         asked = int((data["task_status"] != NOT_ASKED).sum())
-        data = _with_sides(data, attributes)
-        if inner is not None:
-            shared = data[[name for name in PARAMETERS if name in data and name not in inner]]
-            data = inner.assign_coords(replica=known["replica"]).assign(shared.variables)
-        data = data.map(lambda one: _masked(one, known), keep_attrs=True)
-        rows = np.asarray(places.get("point", range(points)))
-        tasks = np.add.outer(replicas * rows, places["replica"])
+        data = _with_sides(data, attributes).map(lambda one: _masked(one, known), keep_attrs=True)
         about = {"long_name": "place of the task in its file, from 0"}
-        data["task"] = xr.Variable(("point", "replica"), tasks, about)
+        data["task"] = known.dims, np.arange(known.size).reshape(known.shape), about
         data = _on_grid(data, axes)
     data.attrs = {**attributes, "files": [str(path.absolute())],
                   "tasks": f"{int(known.sum())} of {asked} tasks are complete"}  # fmt: skip
     return data
 
 
-def _places(values: NDArray[np.generic], chosen: NDArray[np.generic] | None) -> Sequence[int]:
-    """Return the places of the chosen ones among values; of all if none are given."""
-    if chosen is None:
-        return range(len(values))
-    return np.flatnonzero(np.isin(values, chosen)).tolist()
-
-
 def with_theory(data: xr.Dataset, theory: str | Sequence[str] | bool) -> xr.Dataset:
     """Return results with those of theories beside them, as `open_results`."""
-    points, models = Points(data), _names(theory)
-    circuits = points.circuits
-    if theory is True and not points.scatterers:
-        models = [one.name for one in defaults(circuits)]
+    points = by_point(data)
+    circuits = points["circuit"].values.tolist()
+    models = _models(theory, circuits)
+    if theory is True and not scatterers_of(data):
+        models = defaults(circuits)
     if not models:
         return data
-    named(models, circuits)
-    urn = points.shape == "urn"
+    urn = data.attrs.get("shape") == "urn"
     meanings = URN_THEORY if urn else THEORY
-    starts = points.number - points.value("urn1_number")
-    known: dict[tuple[object, ...], list[float]] = {}
-    found = np.full((len(meanings), len(models), len(points)), math.nan)
+    starts = (points["number"] - points["urn1_number"]).values.astype(float)
+    found = np.full((len(meanings), len(models), len(circuits)), math.nan)
     for at, model in enumerate(models):
-        for point, circuit in enumerate(circuits):
-            case = circuit, model, starts[point]
-            if case not in known:
-                known[case] = _of_urn(*case) if urn else _of_circuit(*case)
-            found[:, at, point] = known[case]
+        results_of = cache(partial(_of_urn if urn else _of_circuit, model))
+        for point, circuit in enumerate(each(circuits, f"states, {model.label}, point")):
+            found[:, at, point] = results_of(circuit, starts[point])
     axes = [name for name in data["task"].dims if name != "replica"]
     sizes = [data.sizes[name] for name in axes]
-    added = {"theory": xr.Variable("theory", models)}
+    added = {"theory": xr.Variable("theory", [one.name for one in models])}
     for (name, (unit, meaning)), values in zip(meanings.items(), found, strict=True):
         if name.endswith("_error") and np.isnan(values).all():
             continue
@@ -172,29 +153,26 @@ def with_theory(data: xr.Dataset, theory: str | Sequence[str] | bool) -> xr.Data
     return data.squeeze("theory", drop=True) if isinstance(theory, str) else data
 
 
-def _names(theory: str | Sequence[str] | bool) -> list[str]:
-    """Return the names of theories; raise `InputError` if there is no such theory."""
-    if isinstance(theory, bool):
-        return []
-    names = [theory] if isinstance(theory, str) or not isinstance(theory, Iterable) else [*theory]
-    named(names)
-    return names
+def _models(
+    theory: str | Sequence[str] | bool, circuits: Iterable[Circuit] = ()
+) -> tuple[Model, ...]:
+    """Return theories by their names; raise `InputError` if there is no such theory."""
+    return () if isinstance(theory, bool) else named(theory, circuits)
 
 
-def _of_urn(circuit: Circuit, model: str, _: float) -> list[float]:
+def _of_urn(model: Model, circuit: Circuit, _: float) -> list[float]:
     """Return a model's results for the single urn, in the order of `URN_THEORY`."""
-    return [float(MODELS[model].urn_current(circuit))]
+    return [float(model.urn_current(circuit))]
 
 
-def _of_circuit(circuit: Circuit, model: str, number2: float) -> list[float]:
+def _of_circuit(model: Model, circuit: Circuit, number2: float) -> list[float]:
     """Return a model's results for a circuit that starts with N2, in the order of `THEORY`."""
-    known = MODELS[model]
-    state = known.reached(circuit, number2)
+    state = model.reached(circuit, number2)
     values: list[float | None] = [None] * 3
     if state is not None:
         values = [state.mass_spread, state.net_current, state.net_current_error]
-    stable = STABLE.get(known.homogeneous_kind(circuit))
-    width = known.theory_of(circuit).transition_width(known.of(circuit))
+    stable = STABLE.get(model.homogeneous_kind(circuit))
+    width = model.theory_of(circuit).transition_width(model.of(circuit))
     return [math.nan if one is None else float(one) for one in (*values, stable, width)]
 
 
@@ -232,6 +210,7 @@ def merge(parts: Iterable[str | Path | xr.Dataset]) -> xr.Dataset:
     table["replica"] = table.groupby(keys).cumcount()
     data = table.set_index([*axes, "replica"]).to_xarray()
     data["task_status"] = data["task_status"].fillna(NOT_ASKED)
+    data["task"] = data["task"].fillna(-1).astype(int)
     for name in keys:
         if name not in axes:
             data[name] = _without_idle(data[name].max("replica").variable, axes)
@@ -325,22 +304,6 @@ def _attributes(given: Sequence[dict[str, object]]) -> dict[str, object]:
     lines = [f"{name}: {', '.join(sorted({str(one) for one in values}))}"
              for name, values in told.items() if len({str(one) for one in values}) > 1]  # fmt: skip
     return {**same, "differs": "; ".join(lines)}
-
-
-def group_of(data: xr.Dataset, group: str) -> xr.Dataset:
-    """Return a group of the files of a dataset, of the same points and replicas."""
-    files = data.attrs.get("files", [])
-    if len(files) != 1:
-        raise InputError(f"{group}: of one results file, open_results(file, group={group!r})")
-    chosen = {str(name): one.values for name, one in data.coords.items()}
-    found = _read(Path(files[0]), group, chosen, verify=False)
-    chosen = {name: one for name, one in chosen.items() if name in found["task"].dims}
-    return found.sel(chosen).assign_attrs(tasks=data.attrs["tasks"])
-
-
-# `data.series` and the others.
-for _group in GROUPS:
-    xr.register_dataset_accessor(_group)(partial(group_of, group=_group))
 
 
 def _masked(values: xr.DataArray, known: xr.DataArray) -> xr.DataArray:

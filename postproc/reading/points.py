@@ -1,31 +1,28 @@
-"""The points of a dataset one after the other: means over replicas, circuits, series, snapshots."""
+"""The points of a dataset one after the other: means over replicas, circuits, tasks.
+
+Figures, report, table and film take a dataset of `open_results` or `merge`, or a part of it, as
+`by_point` returns it: with the dimensions `point` and `replica`. Points are chosen, sorted and
+counted by xarray (`isel`, `sortby`, `sizes`).
+"""
 
 from __future__ import annotations
 
 import math
 import sys
-from contextlib import ExitStack, contextmanager
-from copy import copy
-from dataclasses import dataclass, replace
-from functools import cached_property
-from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import xarray as xr
 
 from postproc.cli import InputError
-from postproc.reading.results_file import ResultsFile
 from postproc.theory.circuit import PAPERS_AGE, Circuit
-from postproc.theory.gates import WINDOW
 from postproc.theory.outlines import outline_of, regular
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Iterator
 
     from numpy.typing import NDArray
 
-    from postproc.theory.gates import Gate
     from postproc.theory.outlines import Outline
 
     Floats = NDArray[np.float64]
@@ -35,36 +32,12 @@ PARAMETERS = (
     "number", "threshold", "threshold2", "urn1_number", "urn_radius", "urn_radius2",
     "channel1_width", "channel1_length", "channel2_width", "channel2_length",
 )  # fmt: skip
+WHOLE = ("number", "threshold", "threshold2", "urn1_number")
 FLOWS = ("flow1_12", "flow1_21", "flow2_12", "flow2_21")
 COMPLETE, NOT_ASKED = 0, 3  # values of `task_status`
 TWO_STATES = 2  # value of `point_status`
-
-
-@dataclass(frozen=True)
-class Series:
-    """Series of one task.
-
-    Attributes
-    ----------
-    time : ends of the intervals, shape (time,).
-    urn1_number : N1 at that time, shape (time,).
-    flows : crossings per unit time since the entry before, by name, each of shape (time,).
-    """
-
-    time: Floats
-    urn1_number: Floats
-    flows: dict[str, Floats]
-
-
-@dataclass(frozen=True)
-class Snapshot:
-    """All particles of one task at one time; positions and velocities of shape (particle,)."""
-
-    time: float
-    x: Floats
-    y: Floats
-    ux: Floats
-    uy: Floats
+#: Keys that may be scanned in place of a parameter.
+FRACTIONS = {"threshold": "threshold_fraction", "urn1_number": "urn1_fraction"}
 
 
 def mean_error(values: xr.DataArray, own_error: xr.DataArray | None = None) -> xr.Dataset:
@@ -100,9 +73,9 @@ def mean_error(values: xr.DataArray, own_error: xr.DataArray | None = None) -> x
     return xr.Dataset({"mean": values.mean("replica"), "error": scatter, "replicas": count})
 
 
-def flat(data: xr.Dataset) -> xr.Dataset:
+def flat(data: xr.Dataset, *needed: str) -> xr.Dataset:
     """Return a dataset with one dimension `point` in place of the scan's keys."""
-    if not (isinstance(data, xr.Dataset) and {"task", "number"} <= set(data.variables)):
+    if not (isinstance(data, xr.Dataset) and {"task", "number", *needed} <= set(data.variables)):
         raise InputError("data: must be a dataset that postproc.open_results or merge returns")
     if "replica" not in data.dims:  # one that was chosen
         by_point = {name for name in data if set(data[name].dims) <= set(data["task"].dims)
@@ -118,373 +91,187 @@ def flat(data: xr.Dataset) -> xr.Dataset:
     return data.expand_dims("point")
 
 
-class Points:
-    """The points of a dataset, in the order of its grid.
+def by_point(data: xr.Dataset) -> xr.Dataset:
+    """Return a dataset with the dimension `point`, and what is known of each point and task.
 
-    Attributes
-    ----------
-    data : the dataset with the dimension `point` in place of the scan's keys.
-    attrs : its attributes.
-    keys : the values of each key of the scan that has more than one, shape (point,).
-    number, threshold, channel1_width, channel2_width : N, T, w, w', shape (point,), as all below.
-    start : chi at the beginning, |N1 - N2|/N.
-    chi, chi_error : mean over the replicas and its standard error; NaN where no task is done, or
-        replicas are in two states.
-    current, current_error : likewise, the net current along the instantaneous polarity, so that
-        reversals of the polarity do not cancel it; for a single urn its current.
+    Coordinates along `point` are the keys of the scan, in its order. Every parameter has a value at
+    each point. Added are `start`, chi at the beginning; `circuit`, whose urns and gates may be
+    unequal; `two_states`, whether replicas are in two, so that they have no mean; and of each task
+    `asked`, whether it was requested, and `complete`.
     """
+    points = flat(data, "task_status")
+    known = [name for name in PARAMETERS if name in points]
+    keys = [str(name) for name in data["task"].dims if name not in ("replica", "point")] or known
+    size, status = points.sizes["point"], points["task_status"]
+    columns = {name: ("point", np.broadcast_to(points[name].values, size))
+               for name in (*known, *keys)}  # fmt: skip
+    others = [name for name in known if name not in keys]
+    points = points.drop_vars(keys).assign({name: columns[name] for name in others})
+    points = points.assign_coords({name: columns[name] for name in keys})
+    points["start"] = abs(2.0 * points["urn1_number"] - points["number"]) / points["number"]
+    points["complete"], points["asked"] = status == COMPLETE, status != NOT_ASKED
+    points["two_states"] = points.get("point_status", xr.zeros_like(points["start"])) == TWO_STATES
+    points = points.transpose("point", "replica", ...)
+    points["circuit"] = "point", np.empty(size, object)
+    points["circuit"].values[:] = _circuits(points)
+    return points
 
-    def __init__(self, data: xr.Dataset) -> None:
-        """Take a dataset of `open_results` or `merge`, or a part of one."""
-        self.attrs, self.data = data.attrs, flat(data)
-        names = [str(name) for name in data["task"].dims if name not in ("replica", "point")]
-        self._set(names or [name for name in PARAMETERS if name in self.data])
-        self._open: dict[str, ResultsFile] = {}
-        self._held: ExitStack | None = None
 
-    def _set(self, names: Sequence[str]) -> None:
-        self._values: dict[str, Floats] = {}
-        self.number, self.threshold, self.channel1_width, self.channel2_width = (
-            self.value(name) for name in ("number", "threshold", "channel1_width", "channel2_width")
-        )
-        self.start = np.abs(2.0 * self.value("urn1_number") - self.number) / self.number
-        self.chi, self.chi_error = self.mean("chi")
-        self.current, self.current_error = self.mean(self.current_name)
-        columns = {name: np.broadcast_to(self.data[name].values, self.number.shape)
-                   for name in names}  # fmt: skip
-        self.keys = {name: one for name, one in columns.items() if np.unique(one).size > 1}
+def keys_of(points: xr.Dataset) -> dict[str, NDArray[np.generic]]:
+    """Return the keys of the scan that have more than one value, with that at each point."""
+    return {str(name): one.values for name, one in points.coords.items()
+            if one.dims == ("point",) and np.unique(one).size > 1}  # fmt: skip
 
-    def where(self, chosen: NDArray[np.bool_] | NDArray[np.int_]) -> Points:
-        """Return the chosen points; given as places, in that order."""
-        part = copy(self)
-        for name in ("done", "asked", "two_states", "circuits"):
-            part.__dict__.pop(name, None)
-        places = np.flatnonzero(chosen) if np.asarray(chosen).dtype == bool else chosen
-        part.data = self.data.isel(point=places)
-        part._set(list(self.keys))
-        return part
 
-    def sorted_by_threshold(self) -> Points:
-        """Return the points by increasing T."""
-        return self.where(np.argsort(self.threshold, kind="stable"))
+def groups(points: xr.Dataset, *keys: str) -> Iterator[tuple[dict[str, float], xr.Dataset]]:
+    """Iterate over the values of parameters, and the points that have them."""
+    if not keys:
+        yield {}, points
+        return
+    columns = np.stack([points[key].values for key in keys], axis=-1)
+    for values in np.unique(columns, axis=0):
+        chosen = (columns == values).all(axis=1)
+        yield dict(zip(keys, values.tolist(), strict=True)), points.isel(point=chosen)
 
-    def column(self, name: str) -> Floats:
-        """Return a key of the scan or a parameter at each point, shape (point,)."""
-        return np.asarray(self.keys.get(name, self.value(name) if self.has(name) else ()), float)
 
-    def number2_at_start(self, point: int) -> float:
-        """Return N2 at the start of a point's runs."""
-        return float(self.number[point] - self.value("urn1_number")[point])
+def means(points: xr.Dataset, name: str) -> tuple[Floats, Floats]:
+    """Return mean and standard error of a variable over the replicas (`mean_error`).
 
-    def groups(self, *keys: str) -> Iterator[tuple[dict[str, float], Points]]:
-        """Iterate over the values of parameters, and the points that have them."""
-        if not keys:
-            yield {}, self
-            return
-        columns = np.stack([self.column(key) for key in keys], axis=-1)
-        for values in np.unique(columns, axis=0):
-            chosen = (columns == values).all(axis=1)
-            yield dict(zip(keys, values.tolist(), strict=True)), self.where(chosen)
+    NaN if replicas are in two states, or there is no such variable.
+    """
+    if name not in points:
+        return (np.full(points.sizes["point"], math.nan),) * 2
+    found = mean_error(points[name], points.get(f"{name}_error")).where(~points["two_states"])
+    return found["mean"].values, found["error"].values
 
-    def need_only(self, *shown: str) -> None:
-        """Raise `InputError` if points differ in other parameters than a figure can show."""
-        free = {"urn1_number" if name == "start" else name for name in shown}
-        columns = {name: self.value(name) for name in PARAMETERS if name in self.data}
-        columns["urn1_number"] = self.start  # a fraction that is scanned with N
-        if free & {"number", "threshold_fraction"}:
-            free.add("threshold")
-        varying = {name: np.unique(one) for name, one in columns.items()
-                   if name not in free and np.unique(one).size > 1}  # fmt: skip
-        if varying:
-            name = next(iter(varying))
-            scanned = FRACTIONS.get(name, name)
-            name = scanned if scanned in self.keys else name
-            values = np.unique(self.column(name))
-            told = ", ".join(f"{one:g}" for one in values[:6])
-            raise InputError(
-                f"this figure has no place for {' and '.join(varying)} ({name}: {told}): choose, "
-                f"--select {name}={values[0]:g} or data.sel({name}={values[0]:g})"
-            )
 
-    def __len__(self) -> int:
-        """Return how many points there are."""
-        return self.data.sizes["point"]
+def current_name(points: xr.Dataset) -> str:
+    """Return the variable that is the current: along the polarity, of a single urn its own.
 
-    @property
-    def replicas(self) -> int:
-        """Number of replicas of each point."""
-        return self.data.sizes["replica"]
+    Along the instantaneous polarity, so that reversals of it do not cancel the current.
+    """
+    return "current1" if points.attrs.get("shape") == "urn" else "polarised_current"
 
-    @property
-    def files(self) -> str:
-        """Names of the files, for messages."""
-        return ", ".join(self.attrs.get("files", ["the dataset"]))
 
-    def has(self, name: str) -> bool:
-        """Tell whether there is a variable."""
-        return name in self.data
+def files_of(data: xr.Dataset) -> str:
+    """Return the names of the files, for messages."""
+    return ", ".join(data.attrs.get("files", ["the dataset"]))
 
-    def value(self, name: str) -> Floats:
-        """Return a variable as floats, shape (point,) or (point, replica)."""
-        if name not in self.data:
-            raise InputError(f"{self.files}: has no {name}")
-        if name not in self._values:
-            one = self.data[name]
-            if "point" in one.dims:
-                self._values[name] = np.asarray(one.transpose("point", ...), float)
-            else:
-                shape = (self.data.sizes["point"], *one.shape)
-                self._values[name] = np.broadcast_to(np.asarray(one, float), shape)
-        return self._values[name]
 
-    @cached_property
-    def done(self) -> NDArray[np.bool_]:
-        """Which tasks have results, shape (point, replica)."""
-        return np.isfinite(self.value("current1"))
+def remark(points: xr.Dataset) -> str:
+    """Return a remark for pictures of a partial run; empty for a complete one."""
+    done, asked = int(points["complete"].sum()), int(points["asked"].sum())
+    return f"partial run: {done} of {asked} tasks" if done < asked else ""
 
-    @cached_property
-    def asked(self) -> NDArray[np.bool_]:
-        """Which tasks were requested, shape (point, replica): all, unless to a precision."""
-        if not self.has("task_status"):
-            return np.ones(self.done.shape, bool)
-        return self.value("task_status") != NOT_ASKED
 
-    @cached_property
-    def two_states(self) -> NDArray[np.bool_]:
-        """Which points have replicas in two states, shape (point,): they have no mean."""
-        if not self.has("point_status"):
-            return np.zeros(len(self), bool)
-        return self.value("point_status") == TWO_STATES
+def say_if_partial(points: xr.Dataset) -> None:
+    """Print on standard error that the run is partial, if it is."""
+    if told := remark(points):
+        print(f"{files_of(points)}: {told}, drawn with what there is", file=sys.stderr)
 
-    def mean(self, name: str) -> tuple[Floats, Floats]:
-        """Return mean and standard error of a variable over the replicas (`mean_error`).
 
-        NaN if replicas are in two states, or there is no such variable.
-        """
-        if not self.has(name):
-            return (np.full(len(self), math.nan),) * 2
-        own = self.data.get(f"{name}_error")
-        found = mean_error(self.data[name], own).where(~self.two_states)
-        return found["mean"].values, found["error"].values
+def with_tasks(points: xr.Dataset) -> xr.Dataset:
+    """Return the points; raise `InputError` if no task is complete."""
+    if not points["complete"].any():
+        raise InputError(f"{files_of(points)}: no task is complete yet")
+    return points
 
-    @property
-    def current_name(self) -> str:
-        """The variable that is the current: along the polarity, of a single urn its own."""
-        return "polarised_current" if self.shape == "circuit" else "current1"
 
-    @property
-    def remark(self) -> str:
-        """Remark for pictures of a partial run; empty for a complete one."""
-        if self.done[self.asked].all():
-            return ""
-        return f"partial run: {np.count_nonzero(self.done)} of {self.asked.sum()} tasks"
-
-    def say_if_partial(self) -> None:
-        """Print on standard error that the run is partial, if it is."""
-        if self.remark and self.done.any():
-            print(f"{self.files}: {self.remark}, drawn with what there is", file=sys.stderr)
-
-    def need_tasks(self) -> None:
-        """Raise `InputError` if no task is complete."""
-        if not self.done.any():
-            raise InputError(f"{self.files}: no task is complete yet")
-
-    def task(self, point: int | None, replica: int | None) -> tuple[int, int]:
-        """Return point and replica of a task, from 0; the arguments are from 1.
-
-        An argument that is None is the first with a complete task.
-        """
-        self.need_tasks()
-        if point is None:
-            point = 1 + int(np.flatnonzero(self.done.any(axis=1))[0])
-        self._check_task(point - 1, 0)
-        done = np.flatnonzero(self.done[point - 1])
-        if replica is None:
-            replica = 1 + int(done[0]) if done.size else 1
-        self._check_task(point - 1, replica - 1)
-        return point - 1, replica - 1
-
-    def _check_task(self, point: int, replica: int) -> None:
-        for what, at, count in (
-            ("point", point, len(self)), ("replica", replica, self.replicas)
-        ):  # fmt: skip
-            if not 0 <= at < count:
-                raise InputError(f"{self.files}: has {count} {what}(s), there is no {at + 1}")
-
-    @property
-    def shape(self) -> str:
-        """Shape of the table: "circuit" or "urn"."""
-        return str(self.attrs.get("shape", "circuit"))
-
-    @property
-    def scatterers(self) -> tuple[tuple[float, float, float], ...]:
-        """Discs in channel 2: z, y, radius of each."""
-        values = [float(word) for word in str(self.attrs.get("scatterers", "")).split()]
-        return tuple(zip(values[0::3], values[1::3], values[2::3], strict=True))
-
-    def any_circuit(self, point: int) -> Circuit:
-        """Return the circuit of a point, whose urns and gates may be unequal."""
-        self._check_task(point, 0)
-        return self.circuits[point]
-
-    @cached_property
-    def circuits(self) -> list[Circuit]:
-        """The circuits of all points, whose urns and gates may be unequal."""
-        columns = {name: self.value(name).tolist() for name in PARAMETERS if self.has(name)}
-        rows = (dict(zip(columns, one, strict=True))
-                for one in zip(*columns.values(), strict=True))  # fmt: skip
-        return [self._circuit(one, age) for one, age in zip(rows, self._ages(), strict=True)]
-
-    def _circuit(self, values: dict[str, float], age: float) -> Circuit:
-        """Return a circuit from the parameters of a point."""
-        threshold, radius = int(values["threshold"]), values["urn_radius"]
-        other, beyond = int(values.get("threshold2", threshold)), values.get("urn_radius2", radius)
-        outline, other_outline = self._outlines((radius, beyond))
-        return Circuit(
-            number=int(values["number"]),
-            threshold=threshold,
-            urn_radius=radius,
-            urn2_radius=beyond if beyond != radius else None,
-            gate2_threshold=other if other != threshold else None,
-            channel1_width=values["channel1_width"],
-            channel2_width=values["channel2_width"],
-            channel1_length=values["channel1_length"],
-            channel2_length=values["channel2_length"],
-            shape=self.shape,
-            scatterers=self.scatterers,
-            outline=outline,
-            urn2_outline=other_outline if other_outline != outline else None,
-            age=age,
+def need_only(points: xr.Dataset, *shown: str) -> None:
+    """Raise `InputError` if points differ in other parameters than a figure can show."""
+    free = {"urn1_number" if name == "start" else name for name in shown}
+    if free & {"number", "threshold_fraction"}:
+        free.add("threshold")
+    # Starts are compared as fractions, which are scanned with N.
+    columns = {name: points["start" if name == "urn1_number" else name].values
+               for name in PARAMETERS if name in points and name not in free}  # fmt: skip
+    varying = [name for name, one in columns.items() if np.unique(one).size > 1]
+    if varying:
+        name = next(iter(varying))
+        scanned = FRACTIONS.get(name, name)
+        name = scanned if scanned in points.coords else name
+        values = np.unique(points[name])
+        told = ", ".join(f"{one:g}" for one in values[:6])
+        raise InputError(
+            f"this figure has no place for {' and '.join(varying)} ({name}: {told}): choose, "
+            f"--select {name}={values[0]:g} or data.sel({name}={values[0]:g})"
         )
 
-    def _ages(self) -> list[float]:
-        """Return the age of each point's runs in the middle of their averages, to two digits.
 
-        Where no task is complete, that of the paper's runs.
-        """
-        if not self.has("transient_time"):
-            return [PAPERS_AGE] * len(self)
-        ends = 0.5 * (self.value("transient_time") + self.value("time"))
-        known = self.done & np.isfinite(ends) & (ends >= 0.0)
-        sums = np.where(known, ends, 0.0).sum(axis=1)
-        return [float(f"{total / count:.2g}") if count else PAPERS_AGE
-                for total, count in zip(sums, known.sum(axis=1), strict=True)]  # fmt: skip
+def task_of(points: xr.Dataset, point: int | None, replica: int | None) -> tuple[int, int]:
+    """Return point and replica of a task, from 0; the arguments are from 1.
 
-    def _outlines(self, radii: tuple[float, float]) -> tuple[Outline | None, Outline | None]:
-        """Return the outlines of urns that are polygons, from their radii if they are regular."""
-        if self.attrs.get("urn_shape", "disc") == "disc":
-            return None, None
-        if "urn_sides" in self.attrs:
-            sides = int(self.attrs["urn_sides"])
-            return regular(sides, radii[0]), regular(sides, radii[1])
-        one, two = (outline_of(np.reshape(self.attrs[name], (-1, 2)))
-                    for name in ("urn_vertices", "urn2_vertices"))  # fmt: skip
-        return one, two
+    An argument that is None is the first with a complete task.
+    """
+    done = with_tasks(points)["complete"].values
+    for what, one, count in zip(("point", "replica"), (point, replica), done.shape, strict=True):
+        if one is not None and not 1 <= one <= count:
+            raise InputError(f"{files_of(points)}: has {count} {what}(s), there is no {one}")
+    at = int(done.any(axis=1).argmax()) if point is None else point - 1
+    return at, int(done[at].argmax()) if replica is None else replica - 1
 
-    def beyond_theory(self, point: int) -> bool:
-        """Tell whether a table has scatterers or unequal sides: no theory of figures applies."""
-        return bool(self.scatterers or self.any_circuit(point).unlike)
 
-    def circuit(self, point: int, gate: Gate = WINDOW) -> Circuit:
-        """Return the circuit of a point, with the paper's gate unless another is given.
-
-        Raises `InputError` if its urns or its gates are unequal.
-        """
-        found = self.any_circuit(point)
-        if found.unlike:
+def alike(points: xr.Dataset) -> list[Circuit]:
+    """Return the circuits of points; raise `InputError` if urns or gates of one are unequal."""
+    found = points["circuit"].values.tolist()
+    for at, one in enumerate(found, start=1):
+        if one.unlike:
             raise InputError(
-                f"{self.files}: {found.unlike} at point {point + 1}; "
+                f"{files_of(points)}: {one.unlike} at point {at}; "
                 "this needs two urns and two gates that are alike"
             )
-        return replace(found.sides[0], gate=gate)
-
-    def _read(self, group: str, names: Sequence[str], point: int, replica: int) -> list[Floats]:
-        """Return datasets of a group for one task, from its file."""
-        self._check_task(point, replica)
-        at = {"point": point, "replica": replica}
-        path = self.attrs["files"][int(self.data["file"][at]) if self.has("file") else 0]
-        with ExitStack() as stack:
-            if path not in self._open:
-                self._open[path] = (self._held or stack).enter_context(ResultsFile(Path(path)))
-                if not self._held:
-                    stack.callback(self._open.clear)
-            opened = self._open[path]
-            stack.enter_context(opened.damage_reported())
-            created = opened.attributes.get("created")
-            if len(self.attrs["files"]) == 1 and created != self.attrs.get("created"):
-                raise InputError(f"{path}: has changed since it was opened")
-            if not opened.has(group):
-                raise InputError(f"{path}: has no {group}{HINTS.get(group, '')}")
-            return opened.task(group, names, int(self.data["task"][at]))
-
-    @contextmanager
-    def kept_open(self) -> Iterator[None]:
-        """Keep the files open while many tasks are read; may be nested."""
-        if self._held is not None:
-            yield
-            return
-        try:
-            with ExitStack() as self._held:
-                yield
-        finally:
-            self._held = None
-            self._open.clear()
-
-    def series(self, point: int, replica: int) -> Series:
-        """Return the series of a task, from the first interval on.
-
-        Raises `InputError` if none was requested, or it is empty.
-        """
-        time, number, *flows = self._read("series", ("time", "urn1_number", *FLOWS), point, replica)
-        there = np.isfinite(number) & np.isfinite(flows[0]) & (number >= 0)
-        there &= time > 0.0  # the entry at the start has no interval before it
-        if not there.any():
-            raise InputError(f"{self.files}: the series of point {point + 1} is empty")
-        rates = {name: flow[there] for name, flow in zip(FLOWS, flows, strict=True)}
-        return Series(time[there], number[there], rates)
-
-    def all_series(self, point: int) -> list[Series]:
-        """Return the series of all complete replicas of a point."""
-        with self.kept_open():
-            return [self.series(point, int(one)) for one in np.flatnonzero(self.done[point])]
-
-    def has_group(self, group: str) -> bool:
-        """Tell whether the files have series, snapshots, ..."""
-        try:
-            self._read(group, (), 0, 0)
-        except InputError:
-            return False
-        return True
-
-    def snapshot(self, point: int, replica: int, index: int) -> Snapshot:
-        """Return one snapshot of a task; `index` counts from 0, or from the end if negative."""
-        found = self.snapshots(point, replica)
-        if not -len(found) <= index < len(found):
-            raise InputError(f"{self.files}: has {len(found)} snapshots, there is no such one")
-        return found[index]
-
-    def snapshots(self, point: int, replica: int) -> list[Snapshot]:
-        """Return all snapshots of a task that it has reached."""
-        time, *states = self._read("snapshots", ("time", "x", "y", "ux", "uy"), point, replica)
-        count = int(self.number[point])
-        columns = np.array([one[:, :count] for one in states])
-        found = [Snapshot(float(one), *columns[:, k]) for k, one in enumerate(time)
-                 if np.isfinite(columns[:, k]).all()]  # fmt: skip
-        if not found:
-            raise InputError(f"{self.files}: no snapshot of point {point + 1} was reached")
-        return found
-
-    def events(self) -> dict[str, Floats]:
-        """Return the event log (time, kind, where, particle), empty if there is none."""
-        names = ("time", "kind", "where", "particle")
-        if not self.has_group("events"):
-            return {}
-        return dict(zip(names, self._read("events", names, 0, 0), strict=True))
+    return found
 
 
-#: Keys that may be scanned in place of a parameter.
-FRACTIONS = {"threshold": "threshold_fraction", "urn1_number": "urn1_fraction"}
-HINTS = {
-    "series": " (set series_interval in &output)",
-    "snapshots": " (set snapshot_times in &output)",
-}
+def scatterers_of(data: xr.Dataset) -> tuple[tuple[float, float, float], ...]:
+    """Return the discs in channel 2: z, y, radius of each."""
+    values = [float(word) for word in str(data.attrs.get("scatterers", "")).split()]
+    return tuple(zip(values[0::3], values[1::3], values[2::3], strict=True))
+
+
+def _circuits(points: xr.Dataset) -> list[Circuit]:
+    """Return the circuits of all points, from the values of their `PARAMETERS`."""
+    names = [name for name in PARAMETERS if name in points]
+    columns = [points[name].values.tolist() for name in names]
+    shape, discs = str(points.attrs.get("shape", "circuit")), scatterers_of(points)
+    found = []
+    for row, age in zip(zip(*columns, strict=True), _ages(points), strict=True):
+        values: dict[str, Any] = {name: int(one) if name in WHOLE else one
+                  for name, one in zip(names, row, strict=True)}  # fmt: skip
+        del values["urn1_number"]
+        other = values.pop("threshold2", values["threshold"])
+        beyond = values.pop("urn_radius2", values["urn_radius"])
+        first, second = _outlines(points.attrs, (values["urn_radius"], beyond))
+        found.append(Circuit(
+            **values, shape=shape, scatterers=discs, age=age, outline=first,
+            gate2_threshold=other if other != values["threshold"] else None,
+            urn2_radius=beyond if beyond != values["urn_radius"] else None,
+            urn2_outline=second if second != first else None,
+        ))  # fmt: skip
+    return found
+
+
+def _ages(points: xr.Dataset) -> list[float]:
+    """Return the age of each point's runs in the middle of their averages, to two digits.
+
+    Where no task is complete, that of the paper's runs.
+    """
+    if "transient_time" not in points:
+        return [PAPERS_AGE] * points.sizes["point"]
+    ends = 0.5 * (points["transient_time"] + points["time"])
+    mean = ends.where(points["complete"] & (ends >= 0.0)).mean("replica")
+    return [float(f"{one:.2g}") if math.isfinite(one) else PAPERS_AGE for one in mean.values]
+
+
+def _outlines(
+    attributes: dict[str, Any], radii: tuple[float, float]
+) -> tuple[Outline | None, Outline | None]:
+    """Return the outlines of urns that are polygons, from their radii if they are regular."""
+    if attributes.get("urn_shape", "disc") == "disc":
+        return None, None
+    if "urn_sides" in attributes:
+        sides = int(attributes["urn_sides"])
+        return regular(sides, radii[0]), regular(sides, radii[1])
+    one, two = (outline_of(np.reshape(attributes[name], (-1, 2)))
+                for name in ("urn_vertices", "urn2_vertices"))  # fmt: skip
+    return one, two

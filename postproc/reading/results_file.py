@@ -23,7 +23,7 @@ from postproc.cli import InputError, existing_file
 from postproc.reading.seal import check_seal
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping, Sequence
+    from collections.abc import Iterator
 
     from numpy.typing import NDArray
 
@@ -103,23 +103,28 @@ class ResultsFile:
         return {name: np.ravel(value).tolist() if np.size(value) > 1 else text_of(value)
                 for name, value in self._file.attrs.items()}  # fmt: skip
 
-    def dataset(self, group: str | None, places: Mapping[str, Sequence[int]]) -> xr.Dataset:
+    def dataset(
+        self, group: str | None = None, tasks: NDArray[np.int_] | None = None
+    ) -> xr.Dataset:
         """Return the datasets of the root or of a group, with the names of their dimensions.
 
-        Only the given places of a dimension are read: `point` and `replica`, increasing.
+        With `tasks`, places of (point, replica), these dimensions are one, `row`, and only their
+        rows are read.
         """
-        inside, read = "" if group is None else f"{group}/", {}
+        inside, variables, read = "" if group is None else f"{group}/", {}, []
         for name in self._file if group is None else self._found(group) or ():
             one = self._found(inside + name)
-            if isinstance(one, h5py.Dataset) and name != "event" and _dimensions(one) is not None:
-                read[name] = one
-        parts = {name: [places.get(axis, range(size)) for axis, size in
-                        zip(_dimensions(one) or (), one.shape, strict=True)]
-                 for name, one in read.items()}  # fmt: skip
-        self._need_memory(sum(math.prod(map(len, parts[name])) * one.dtype.itemsize
-                              for name, one in read.items()))  # fmt: skip
-        variables = {name: (_dimensions(one), _read(one, parts[name]), _meaning(one))
-                     for name, one in read.items()}  # fmt: skip
+            if not isinstance(one, h5py.Dataset) or name == "event":
+                continue
+            if (dimensions := _dimensions(one)) is None:
+                continue
+            rows = None
+            if tasks is not None and dimensions[:2] == ("point", "replica"):
+                dimensions, rows = ("row", *dimensions[2:]), tasks
+            read.append((name, dimensions, one, rows))
+        self._need_memory(sum(_bytes(one, rows) for _, _, one, rows in read))
+        for name, dimensions, one, rows in read:
+            variables[name] = dimensions, _values(one, rows), _meaning(one)
         return xr.decode_cf(xr.Dataset(variables), decode_times=False)
 
     def has(self, name: str) -> bool:
@@ -152,14 +157,6 @@ class ResultsFile:
         if needed > (left := memory_left()):
             here = f"bytes of memory, there are {left:.3g}"
             raise InputError(f"{self.path}: needs {needed:.3g} {here}")
-
-    def task(self, group: str, names: Iterable[str], task: int) -> list[NDArray[np.float64]]:
-        """Return datasets of a group as floats: of one task, by its place, if they are of tasks."""
-        replicas = self.shape[1]
-        found = [self._dataset(f"{group}/{name}") for name in names]
-        self._need_memory(sum(one.nbytes for one in found if one.ndim == 1))
-        return [np.array(one[()] if one.ndim == 1 else one[divmod(task, replicas)], float)
-                for one in found]  # fmt: skip
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -202,17 +199,26 @@ def _hdf5(path: Path) -> h5py.File:
             raise InputError(f"{path}: {reason}") from problem
 
 
-def _read(dataset: h5py.Dataset, places: Sequence[Sequence[int]]) -> NDArray[np.generic]:
-    """Return the places of a dataset that are given for each dimension, increasing."""
-    spans = tuple(slice(int(one[0]), int(one[-1]) + 1) if len(one) else slice(0) for one in places)
-    if all(one.stop - one.start == len(part) for one, part in zip(spans, places, strict=True)
-           if len(part)):  # fmt: skip
-        return dataset[spans]
-    first, *rest = places
-    rows = [dataset[(int(at), *spans[1:])] for at in first]
-    inner = np.ix_(np.arange(len(rows)), *(np.asarray(one) - span.start for one, span in
-                                           zip(rest, spans[1:], strict=True)))  # fmt: skip
-    return np.stack(rows)[inner]
+def _bytes(dataset: h5py.Dataset, tasks: NDArray[np.int_] | None) -> int:
+    """Return the size of a dataset, or of the rows of tasks, in memory."""
+    count = dataset.size if tasks is None else tasks.size * math.prod(dataset.shape[2:])
+    return int(count * dataset.dtype.itemsize)
+
+
+def _values(dataset: h5py.Dataset, tasks: NDArray[np.int_] | None) -> NDArray[np.generic]:
+    """Return a dataset, or the rows of tasks, places of (point, replica) in any order."""
+    if tasks is None:
+        return dataset[()]
+    replicas, inner = dataset.shape[1], dataset.shape[2:]
+    if np.array_equal(tasks, np.arange(dataset.shape[0] * replicas)):
+        return dataset[()].reshape(-1, *inner)
+    points, at = np.divmod(tasks, replicas)
+    found = np.empty((tasks.size, *inner), dataset.dtype)
+    for point in np.unique(points):
+        here = np.flatnonzero(points == point)
+        first, last = at[here].min(), at[here].max()
+        found[here] = dataset[point, first : last + 1][at[here] - first]
+    return found
 
 
 def _dimensions(dataset: h5py.Dataset) -> tuple[str, ...] | None:

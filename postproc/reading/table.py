@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 
 from postproc.reading.grid import dataset_of, with_theory
-from postproc.reading.points import PARAMETERS, Points
+from postproc.reading.points import PARAMETERS, by_point, keys_of, means
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -42,14 +42,14 @@ def table(
     """
     data = dataset_of(results)
     data = with_theory(data, [theory] if isinstance(theory, str) else theory)
-    points = Points(data)
-    rows = points.data
-    columns = {name: rows[name].values for name in (*PARAMETERS, *points.keys) if name in rows}
+    points = by_point(data)
+    names = [*PARAMETERS, *keys_of(points)]
+    columns = {name: points[name].values for name in names if name in points}
     for name in (one for one in MEANS if one in data):
-        columns[name], columns[f"{name}_error"] = points.mean(name)
-    columns["replicas"] = points.done.sum(axis=1)
-    for name in np.atleast_1d(rows.get("theory", np.empty(0))).tolist():
+        columns[name], columns[f"{name}_error"] = means(points, name)
+    columns["replicas"] = points["complete"].sum("replica").values
+    for name in np.atleast_1d(points.get("theory", np.empty(0))).tolist():
         for what in (f"theory_{one}" for one in THEORY):
-            if what in rows:
-                columns[what.replace("theory", name, 1)] = rows[what].sel(theory=name).values
-    return pd.DataFrame({name: np.broadcast_to(one, len(points)) for name, one in columns.items()})
+            if what in points:
+                columns[what.replace("theory", name, 1)] = points[what].sel(theory=name).values
+    return pd.DataFrame(columns)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from postproc import cli
 from postproc.figures.theories import asked, default
 from postproc.reading.grid import dataset_of
-from postproc.reading.points import Points
+from postproc.reading.points import by_point, say_if_partial
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -42,15 +42,13 @@ def report(
     InputError
         There are no results, the page cannot be written, or Bokeh is not installed.
     """
-    points = Points(dataset_of(results, verify=verify))
+    points = by_point(dataset_of(results, verify=verify))
     name = points.attrs["files"][0].rpartition("/")[2].removesuffix(".h5")
     path = cli.file_to_write(cli.path_of(f"{name}.html" if file is None else file, "file"))
-    names = [theory] if isinstance(theory, str) else theory
-    models = default(points) if names is None else asked(points, names)
+    models = default(points) if theory is None else asked(points, theory)
     page = cli.extra("report", "postproc.reporting.page").page
-    with points.kept_open():
-        text = page(points, {one.name: one for one in models})
-    points.say_if_partial()
+    text = page(points, {one.name: one for one in models})
+    say_if_partial(points)
     cli.output_folder(path.parent)
     try:
         path.write_text(text, encoding="utf-8")

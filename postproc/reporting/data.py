@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from contextlib import suppress
 from dataclasses import dataclass
-from itertools import product
+from itertools import islice
 from typing import TYPE_CHECKING
 
 import contourpy
@@ -13,15 +13,24 @@ import f90nml
 import numpy as np
 
 from postproc.cli import InputError
-from postproc.figures.maps import THRESHOLDS, WIDTH, axes_of, edges
-from postproc.progress import each
+from postproc.figures.maps import (
+    THRESHOLDS,
+    axes_of,
+    edges,
+    has_lines,
+    map_of,
+    transition_lines,
+)
+from postproc.reading.groups import each_series
+from postproc.reading.points import current_name, groups, keys_of
+from postproc.reading.table import table
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Sequence
 
+    import xarray as xr
     from numpy.typing import NDArray
 
-    from postproc.reading.points import Points
     from postproc.theory.model import Model
 
     Floats = NDArray[np.float64]
@@ -38,40 +47,23 @@ ROOM = 250_000  # samples of all series together
 
 @dataclass(frozen=True)
 class Scan:
-    """The scan of a run.
-
-    Attributes
-    ----------
-    keys : values at each point, by the name of the key, for keys with more than one value.
-    across, up : the keys along the axes of the maps, "" for none.
-    """
+    """The scan of a run: its keys, with the value at each point, and those along axes, or ""."""
 
     keys: Columns
     across: str
     up: str
 
     @property
-    def others(self) -> Columns:
+    def others(self) -> list[str]:
         """The keys that select a map."""
-        return {name: at for name, at in self.keys.items() if name not in (self.across, self.up)}
-
-    def slices(self) -> Iterator[tuple[dict[str, object], NDArray[np.int_]]]:
-        """Iterate over the values of `others`, and the points that have them."""
-        others = self.others
-        for chosen in product(*(np.unique(values) for values in others.values())):
-            there = np.ones(next(iter(self.keys.values())).size, bool)
-            for values, one in zip(others.values(), chosen, strict=True):
-                there &= values == one
-            if there.any():
-                yield dict(zip(others, chosen, strict=True)), np.flatnonzero(there)
+        return [name for name in self.keys if name not in (self.across, self.up)]
 
 
-def scanned(points: Points) -> Scan:
+def scanned(points: xr.Dataset) -> Scan:
     """Return the scan; T is the horizontal axis of maps and w' the vertical one, if scanned."""
-    across, up = axes_of(list(points.keys))
-    if not across and points.keys:  # starts alone
-        across = next(iter(points.keys))
-    return Scan(points.keys, across, up)
+    keys = keys_of(points)
+    across, up = axes_of(list(keys))
+    return Scan(keys, across or next(iter(keys), ""), up)  # starts alone
 
 
 def label(name: str) -> str:
@@ -84,20 +76,19 @@ def rounded(values: Floats, digits: int = 5) -> Floats:
     return np.array([float(f"{value:.{digits}g}") for value in np.ravel(values)])
 
 
-def points_of(points: Points, scan: Scan, models: dict[str, Model]) -> Columns:
+def points_of(points: xr.Dataset, scan: Scan, models: dict[str, Model]) -> Columns:
     """Return the columns of the points: keys, measured values and errors, theory, their text."""
-    done, requested = points.done.sum(axis=1), points.asked.sum(axis=1)
     columns = {name: values if values.dtype.kind == "i" else rounded(values)
                for name, values in scan.keys.items()}  # fmt: skip
-    columns |= {name: rounded(getattr(points, name), 2 if name.endswith("_error") else 5)
-                for name in ("start", "chi", "chi_error", "current", "current_error")}  # fmt: skip
-    for name, model in models.items():
-        found = [_expected(points, model, at)
-                 for at in each(range(points.chi.size), f"{model.label}, point")]  # fmt: skip
-        spread, current = np.array(found).T
-        columns[f"{name}_chi"], columns[f"{name}_current"] = rounded(spread), rounded(current)
-    columns["told"] = np.array([_summary(scan, columns, at) for at in range(points.chi.size)])
-    columns["tasks"] = np.array([f"{n} of {m}" for n, m in zip(done, requested, strict=True)])
+    columns["start"], found = rounded(points["start"].values), table(points, theory=list(models))
+    for name, source in (("chi", "chi"), ("current", current_name(points))):
+        columns[name] = rounded(found[source])
+        columns[f"{name}_error"] = rounded(found[f"{source}_error"], 2)
+        columns |= {f"{model}_{name}": rounded(found[f"{model}_{source}"]) for model in models
+                    if f"{model}_{source}" in found}  # fmt: skip
+    columns["told"] = np.array([_summary(scan, columns, at) for at in range(len(points["point"]))])
+    done, asked = (points[name].sum("replica").values for name in ("complete", "asked"))
+    columns["tasks"] = np.array([f"{n} of {m}" for n, m in zip(done, asked, strict=True)])
     for low, high, key in (("left", "right", scan.across), ("bottom", "top", scan.up)):
         if key:
             values, at = np.unique(scan.keys[key], return_inverse=True)
@@ -109,21 +100,6 @@ def points_of(points: Points, scan: Scan, models: dict[str, Model]) -> Columns:
         columns[f"{name}_low"] = columns[name] - columns[f"{name}_error"]
         columns[f"{name}_high"] = columns[name] + columns[f"{name}_error"]
     return columns
-
-
-def _expected(points: Points, model: Model, point: int) -> tuple[float, float]:
-    """Return chi and current of the stable state that a theory reaches from the runs' start."""
-    if points.beyond_theory(point):
-        return math.nan, math.nan
-    circuit = points.circuit(point)
-    if points.shape != "circuit":
-        return math.nan, float(model.urn_current(circuit))
-    if (
-        model.refusal(circuit)
-        or (state := model.reached(circuit, points.number2_at_start(point))) is None
-    ):
-        return math.nan, math.nan
-    return state.mass_spread, state.net_current
 
 
 def _summary(scan: Scan, columns: Columns, at: int) -> str:
@@ -141,22 +117,21 @@ def _summary(scan: Scan, columns: Columns, at: int) -> str:
     )
 
 
-def map_lines(points: Points, scan: Scan, models: dict[str, Model]) -> Columns:
+def map_lines(points: xr.Dataset, scan: Scan, models: dict[str, Model]) -> Columns:
     """Return lines between a stable and an unstable homogeneous state, one row for each line.
 
     Over T and w' they are the theory's own lines; over other keys they lie between points of the
     scan.
     """
     rows: list[dict[str, object]] = []
-    drawn = points.shape == "circuit" and scan.up
-    drawn = drawn and not any(map(points.beyond_theory, range(len(points))))
-    for chosen, there in scan.slices() if drawn else ():
+    drawn = scan.up and not any(one.beyond_theory or one.shape != "circuit"
+                                for one in points["circuit"].values)  # fmt: skip
+    find = _transition if has_lines((scan.across, scan.up)) else _between
+    for chosen, part in groups(points, *scan.others) if drawn else ():
         for model in models.values():
-            find = _transition if _own_axes(scan) else _between
-            for across, up in find(points, scan, model, there):
+            for across, up in find(part, scan, model):
                 rows.append({"xs": across, "ys": up, "dash": dash(model), **chosen})
-    names = ("xs", "ys", "dash", *scan.others)
-    return {name: [row[name] for row in rows] for name in names}
+    return {name: [row[name] for row in rows] for name in ("xs", "ys", "dash", *scan.others)}
 
 
 def dash(model: Model) -> str:
@@ -164,35 +139,20 @@ def dash(model: Model) -> str:
     return {"--": "dashed", ":": "dotted", "-.": "dashdot"}.get(model.dashes, "solid")
 
 
-def _own_axes(scan: Scan) -> bool:
-    return scan.across in THRESHOLDS and scan.up == WIDTH
+def _transition(points: xr.Dataset, scan: Scan, model: Model) -> list[tuple[Floats, Floats]]:
+    number = float(points["number"][0]) if scan.across == "threshold" else 1.0
+    return [(rounded(number * fraction[np.isfinite(widths)]), rounded(widths[np.isfinite(widths)]))
+            for fraction, widths, *_ in transition_lines(points, [model])]  # fmt: skip
 
 
-def _transition(
-    points: Points, scan: Scan, model: Model, there: NDArray[np.int_]
-) -> list[tuple[Floats, Floats]]:
-    circuits = [points.circuit(int(at)) for at in there]
-    last = max(int(one.threshold) for one in circuits) + 1
-    thresholds, widths = model.transition_line(circuits[0], 1, last)
-    if scan.across != "threshold":
-        thresholds = thresholds / float(circuits[0].number)
-    good = np.isfinite(widths)
-    return [(rounded(thresholds[good]), rounded(widths[good]))]
-
-
-def _between(
-    points: Points, scan: Scan, model: Model, there: NDArray[np.int_]
-) -> list[tuple[Floats, Floats]]:
-    values, at = zip(
-        *(np.unique(scan.keys[key][there], return_inverse=True) for key in (scan.across, scan.up)),
-        strict=True,
-    )
-    if min(one.size for one in values) < 2:
+def _between(points: xr.Dataset, scan: Scan, model: Model) -> list[tuple[Floats, Floats]]:
+    kinds = [model.homogeneous_kind(one) == "unstable" for one in points["circuit"].values]
+    unstable = map_of(points, (scan.across, scan.up), np.array(kinds, float))
+    if min(unstable.shape) < 2:
         return []
-    unstable = np.full((values[1].size, values[0].size), math.nan)
-    kinds = [model.homogeneous_kind(points.circuit(int(point))) for point in there]
-    unstable[at[1], at[0]] = [kind == "unstable" for kind in kinds]
-    made = contourpy.contour_generator(*values, np.ma.masked_invalid(unstable))
+    made = contourpy.contour_generator(
+        unstable.columns, unstable.index, np.ma.masked_invalid(unstable)
+    )
     return [(line[:, 0], line[:, 1]) for line in made.lines(0.5)]
 
 
@@ -206,26 +166,28 @@ def curves(columns: Columns, scan: Scan, models: dict[str, Model], name: str) ->
             "line_dash": dash(model),
         }
         for key, model in models.items()
+        if f"{key}_{name}" in columns
     ]
 
 
-def replicas_of(points: Points) -> Columns:
+def replicas_of(points: xr.Dataset) -> Columns:
     """Return the columns of the tasks, replica by replica of each point, as texts.
 
     A value and its error are in one column, so that the table fits on a telephone.
     """
-    done = points.done.ravel()
-    columns: Columns = {"replica": np.tile(np.arange(points.replicas), len(points))}
-    for name, source in {"chi": "chi", "current": points.current_name}.items():
-        if points.has(source):
-            values = zip(points.value(source).ravel(), points.value(f"{source}_error").ravel(),
-                         strict=True)  # fmt: skip
+    count, replicas = points["complete"].shape
+    tasks = {str(name): one.values.ravel() for name, one in points.items()
+             if one.dims == ("point", "replica")}  # fmt: skip
+    columns: Columns = {"replica": np.tile(np.arange(replicas), count)}
+    for name, source in {"chi": "chi", "current": current_name(points)}.items():
+        if source in tasks:
+            values = zip(tasks[source], tasks[f"{source}_error"], strict=True)
             columns[name] = np.array([_with_error(*one) for one in values])
     columns["collisions"] = np.array([f"{one:.2e}".replace("e+0", "e").replace("e+", "e")
-                                      for one in points.value("collisions").ravel()])  # fmt: skip
-    columns["seconds"] = np.array([f"{one:.2g}" for one in points.value("cpu_seconds").ravel()])
+                                      for one in tasks["collisions"]])  # fmt: skip
+    columns["seconds"] = np.array([f"{one:.2g}" for one in tasks["cpu_seconds"]])
     for name in list(columns)[1:]:
-        columns[name] = np.where(done, columns[name], "-")
+        columns[name] = np.where(tasks["complete"], columns[name], "-")
     return columns
 
 
@@ -235,32 +197,31 @@ def _with_error(value: float, error: float) -> str:
     return f"{value:.4g} ± {error:.1g}" if math.isfinite(error) else f"{value:.4g}"
 
 
-def series_of(points: Points) -> tuple[Floats, Columns]:
+def thinned_series(points: xr.Dataset) -> tuple[Floats, Columns]:
     """Return times, and (N1 - N2)/N and net current of all tasks one after the other, thinned.
 
     Nothing if the run has no series, or is shorter than their interval. If there are too many, only
-    those of the first replicas.
+    those of the first tasks.
     """
-    tasks = np.argwhere(points.done)
-    found = {}
-    samples = int(np.clip(ROOM // max(points.done.size, 1), *SAMPLES))
-    for point, replica in tasks[: ROOM // samples].tolist():
-        with suppress(InputError):  # none, or shorter than the interval
-            found[point, replica] = points.series(point, replica)
+    shape = points["complete"].shape
+    samples = int(np.clip(ROOM // max(points["complete"].size, 1), *SAMPLES))
+    found: dict[tuple[int, int], xr.Dataset] = {}
+    with suppress(InputError):  # none was requested
+        for at, one in islice(each_series(points), ROOM // samples):
+            found[at, int(one["replica"])] = one
     if not found:
         return np.empty(0), {}
-    time = max((one.time for one in found.values()), key=len)
+    time = max((one["time"].values for one in found.values()), key=len)
     chosen = np.unique(np.linspace(0, time.size - 1, samples).round().astype(int))
-    spread = np.full((*points.done.shape, chosen.size), np.nan, np.float32)
+    spread = np.full((*shape, chosen.size), np.nan, np.float32)
     current = spread.copy()
-    for (point, replica), one in found.items():
-        flows = one.flows["flow1_12"] - one.flows["flow1_21"]
-        past = np.searchsorted(one.time, time[chosen], side="left")
-        past = np.minimum(past, one.time.size - 1)
-        reached = time[chosen] <= one.time[-1]
-        chi = 2.0 * one.urn1_number[past] / points.number[point] - 1.0
-        spread[point, replica] = np.where(reached, chi, np.nan)
-        current[point, replica] = np.where(reached, _block_means(flows, past), np.nan)
+    for task, one in found.items():
+        own, flows = one["time"].values, (one["flow1_12"] - one["flow1_21"]).values
+        past = np.minimum(np.searchsorted(own, time[chosen], side="left"), own.size - 1)
+        reached = time[chosen] <= own[-1]
+        chi = 2.0 * one["urn1_number"].values[past] / float(points["number"][task[0]]) - 1.0
+        spread[task] = np.where(reached, chi, np.nan)
+        current[task] = np.where(reached, _block_means(flows, past), np.nan)
     return rounded(time[chosen]), {"spread": spread.ravel(), "current": current.ravel()}
 
 
@@ -272,7 +233,7 @@ def _block_means(values: Floats, ends: Sequence[int]) -> Floats:
     return (sums[last] - sums[first]) / (last - first)
 
 
-def namelist_of_point(points: Points, scan: Scan) -> str:
+def namelist_of_point(points: xr.Dataset, scan: Scan) -> str:
     """Return the run's namelist with one value for each key scanned, `@KEY@` in its place."""
     text = str(points.attrs.get("namelist", ""))
     try:

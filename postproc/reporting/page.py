@@ -40,14 +40,15 @@ from bokeh.resources import Resources
 from postproc.figures import style
 from postproc.figures.scene import draw_table
 from postproc.figures.style import CYCLE
+from postproc.reading.points import with_tasks
 from postproc.reporting import data
 from postproc.reporting.warn import explanations, warnings
 
 if TYPE_CHECKING:
+    import xarray as xr
     from bokeh.model import Model as BokehModel
     from numpy.typing import NDArray
 
-    from postproc.reading.points import Points
     from postproc.reporting.data import Columns, Scan
     from postproc.theory.circuit import Circuit
     from postproc.theory.model import Model
@@ -143,7 +144,7 @@ CHOICES = """
 class Page:
     """The parts of a page, which share their points."""
 
-    given: Points
+    given: xr.Dataset
     scan: Scan
     models: dict[str, Model]
     columns: Columns
@@ -151,9 +152,9 @@ class Page:
     def __post_init__(self) -> None:
         """Put the columns into sources of the library."""
         self.points = ColumnDataSource(self.columns)
-        done = np.flatnonzero(self.given.done.any(axis=1))
-        self.points.selected.indices = [int(done[0])]
-        self.cells = IndexFilter(list(range(len(self.given))))
+        first = int(self.given["complete"].any("replica").values.argmax())
+        self.points.selected.indices = [first]
+        self.cells = IndexFilter(list(range(self.given.sizes["point"])))
         self.lines = ColumnDataSource(data.map_lines(self.given, self.scan, self.models))
         self.drawn = IndexFilter(list(range(len(self.lines.data["xs"]))))
         self.reading = Div(text=IDLE, name="reading", render_as_text=True)
@@ -253,7 +254,7 @@ class Page:
             )  # fmt: skip
         self.choose = CustomJS(
             args={"points": self.points, "cells": self.cells, "lines": self.lines,
-                  "drawn": self.drawn, "keys": list(self.scan.others), "choices": made},
+                  "drawn": self.drawn, "keys": self.scan.others, "choices": made},
             code=CHOSEN,
         )  # fmt: skip
         for one in made:
@@ -266,16 +267,17 @@ class Page:
         heads["start"] = "start chi"
         for name in self.measured:
             heads |= {name: name, f"{name}_error": f"{name} error"}
-            heads |= {f"{key}_{name}": f"{name}, {one.label}" for key, one in self.models.items()}
+            heads |= {f"{key}_{name}": f"{name}, {one.label}" for key, one in self.models.items()
+                      if f"{key}_{name}" in self.columns}  # fmt: skip
         heads["tasks"] = "tasks"
-        return _table("points", self.points, heads, rows=min(len(self.given), 16))
+        return _table("points", self.points, heads, rows=min(self.given.sizes["point"], 16))
 
     def detail(self) -> list[BokehModel]:
         """Return the parts that a click fills: a line, the replicas, their series, a namelist."""
         replicas = data.replicas_of(self.given)
         tasks = ColumnDataSource(replicas)
-        time, columns = data.series_of(self.given)
-        rows, count = IndexFilter([]), self.given.replicas
+        time, columns = data.thinned_series(self.given)
+        rows, count = IndexFilter([]), self.given.sizes["replica"]
         table = _table("replicas", tasks, {name: name for name in replicas}, rows=min(count, 8),
                        widths=WIDTHS, view=CDSView(filter=rows))  # fmt: skip
         shown = ColumnDataSource(
@@ -306,7 +308,7 @@ class Page:
         made.height, made.xaxis.axis_label = 240, "time"
         made.multi_line("time", name, source=shown, line_color="colour", line_width="width",
                         legend_field="replica")  # fmt: skip
-        made.legend.visible = 1 < self.given.replicas <= MOST
+        made.legend.visible = 1 < self.given.sizes["replica"] <= MOST
         made.legend.label_text_font_size = "8pt"
         made.legend.background_fill_alpha = 0.6
         return made
@@ -368,12 +370,11 @@ def themed(figures: list[figure]) -> CustomJS:
     return CustomJS(args={"inks": inks, "papers": papers}, code=THEMED)
 
 
-def _run(points: Points) -> dict[str, str]:
-    known, done = points.attrs, points.done
-    collisions = np.nansum(np.where(done, points.value("collisions"), 0.0))
-    seconds = np.nansum(np.where(done, points.value("cpu_seconds"), 0.0))
+def _run(points: xr.Dataset) -> dict[str, str]:
+    known = points.attrs
+    collisions, seconds = (float(points[name].sum()) for name in ("collisions", "cpu_seconds"))
     rows = {name.replace("_", " "): known[name] for name in KEPT if name in known}
-    rows["tasks"] = f"{np.count_nonzero(done)} of {points.asked.sum()} complete"
+    rows["tasks"] = f"{int(points['complete'].sum())} of {int(points['asked'].sum())} complete"
     rows["wall collisions"] = f"{collisions:.4g}"
     rows["processor time"] = f"{seconds:.4g} s"
     if seconds > 0.0:
@@ -399,23 +400,24 @@ def _picture(circuit: Circuit) -> str:
         return base64.b64encode(file.getvalue()).decode("ascii")
 
 
-def _about(points: Points) -> str:
+def _about(points: xr.Dataset) -> str:
     """Return what all points have in common: parameters, replicas, the length of runs."""
-    columns = {name: points.value(name) for name in SHOWN} | {"chi at the start": points.start}
+    columns = {name: points[name].values for name in SHOWN}
+    columns["chi at the start"] = points["start"].values
     told = [f"{data.SYMBOLS.get(name, name)} = {values[0]:.5g}"
             for name, values in columns.items() if np.unique(values).size == 1]  # fmt: skip
-    told.append(f"{points.replicas} replicas")
-    if points.has("time"):
-        time = points.value("time")[points.done]
+    told.append(f"{points.sizes['replica']} replicas")
+    if "time" in points:
+        time = points["time"].values[points["complete"].values]
         told.append(f"runs of {time.min():.3g}" + (f" to {time.max():.3g}" if np.ptp(time) else "")
                     + " time units")  # fmt: skip
     return ", ".join(told)
 
 
-def page(points: Points, models: dict[str, Model]) -> str:
+def page(points: xr.Dataset, models: dict[str, Model]) -> str:
     """Return the whole page, with theories by name; without them if none applies to the table."""
-    points.need_tasks()
-    if all(map(points.beyond_theory, range(len(points)))):
+    circuits = with_tasks(points)["circuit"].values
+    if all(one.beyond_theory for one in circuits):
         models = {}
     scan = data.scanned(points)
     parts = Page(points, scan, models, data.points_of(points, scan, models))
@@ -441,7 +443,7 @@ def page(points: Points, models: dict[str, Model]) -> str:
             "explanations": explanations(points),
             "lines": _lines(scan, models),
             "theory": KNOWN if models else UNKNOWN,
-            "picture": _picture(points.any_circuit(0)),
+            "picture": _picture(circuits[0]),
             "panels": [one.name for one in panels],
             "choices": [one.name for one in choices],
             "series": [one.name for one in parts.series],

@@ -7,19 +7,24 @@ results that are right but surprising; there is one for all points concerned.
 
 from __future__ import annotations
 
+import math
+from contextlib import suppress
 from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy import stats
 
 from postproc.cli import InputError
+from postproc.reading.groups import each_series, snapshot_of
+from postproc.reading.points import current_name, means
 from postproc.theory import ports, two_port
 from postproc.theory.circuit import flow2
 
 if TYPE_CHECKING:
+    import xarray as xr
     from numpy.typing import NDArray
 
-    from postproc.reading.points import Points, Snapshot
+    from postproc.reading.groups import Snapshot
     from postproc.theory.circuit import Circuit
 
     Floats = NDArray[np.float64]
@@ -84,34 +89,34 @@ def memory_factor(circuit: Circuit) -> float:
     return max(two_port.conductance(circuit) / mixed, 1.0) + CIRCULATION
 
 
-def warnings(points: Points) -> list[str]:
+def warnings(points: xr.Dataset) -> list[str]:
     """Return the warnings of a run, one sentence each, as plain text."""
-    found = _unfinished(points)
-    for point in range(len(points)):
-        if not points.done[point].any():
-            continue
-        name = _name(points, point)
-        found += [f"{name}: {text}" for text in _of_replicas(points, point)]
-        found += [f"{name}: {text}" for text in _of_current(points, point)]
-        found += [f"{name}: {text}" for text in _of_series(points, point)]
+    found, excess, moving = _unfinished(points), _excess(points), _moving(points)
+    for at in np.flatnonzero(points["complete"].any("replica")):
+        circuit = points["circuit"].values[at]
+        told = _of_replicas(points.isel(point=at))
+        told += _of_current(circuit, *excess[:, at])
+        if at in moving:
+            told.append("chi still moves in the second half of replica "
+                        f"{', '.join(moving[at])}: short transient.")  # fmt: skip
+        name = f"T = {circuit.thresholds}, w' = {circuit.channel2_width:.4g}, N = {circuit.number}"
+        found += [f"{name}: {text}" for text in told]
     return found
 
 
-def explanations(points: Points) -> list[str]:
+def explanations(points: xr.Dataset) -> list[str]:
     """Return explanations of right but surprising results, one sentence each."""
-    found = []
-    if points.two_states.any():
+    found, count, two = [], points.sizes["point"], int(points["two_states"].sum())
+    if two:
         found.append(
-            f"At {points.two_states.sum()} of {len(points)} points the replicas fall into two "
+            f"At {two} of {count} points the replicas fall into two "
             "states. A mean of both would be a third, so none is shown."
         )
-    excess = np.array(
-        [_excess(points, point)[0] for point in np.flatnonzero(points.done.any(axis=1))]
-    )
+    excess = _excess(points)[0]
     above = excess[excess > EXCESS]
     if above.size:
         found.append(
-            f"At {above.size} of {len(points)} points the net current is more than chi accounts "
+            f"At {above.size} of {count} points the net current is more than chi accounts "
             f"for in well mixed urns, by up to {100.0 * above.max():.0f} %. That is no error: an "
             "urn remembers by which opening a particle came, so fewer go back by channel 2 than "
             "chance has it, and some circulate along the axis."
@@ -119,10 +124,10 @@ def explanations(points: Points) -> list[str]:
     without_error = _points_without_error(points)
     if without_error:
         found.append(
-            f"At {without_error} of {len(points)} points an error is not known: one run is "
+            f"At {without_error} of {count} points an error is not known: one run is "
             "too short to tell its own there. Replicas tell."
         )
-    counts = [_axial_of(points, point) for point in range(len(points))]
+    counts = _axial_of(points)
     if any(counts):
         found.append(
             f"{max(counts)} particles of a last snapshot run along the axis. They go round the "
@@ -131,59 +136,53 @@ def explanations(points: Points) -> list[str]:
     return found
 
 
-def _points_without_error(points: Points) -> int:
+def _points_without_error(points: xr.Dataset) -> int:
     """Return the number of points at which chi or the current has a mean and no error."""
-    pairs = [(points.current, points.current_error)]
-    if points.shape == "circuit":
-        pairs.append((points.chi, points.chi_error))
+    names = {current_name(points), *(["chi"] if points.attrs.get("shape") != "urn" else [])}
+    pairs = (means(points, name) for name in names)
     without_error = [np.isfinite(mean) & np.isnan(error) for mean, error in pairs]
     return int(np.count_nonzero(np.any(without_error, axis=0)))
 
 
-def _name(points: Points, point: int) -> str:
-    circuit = points.any_circuit(point)
-    return f"T = {circuit.thresholds}, w' = {circuit.channel2_width:.4g}, N = {circuit.number}"
+def _unfinished(points: xr.Dataset) -> list[str]:
+    asked = int(points["asked"].sum())
+    missing = asked - int(points["complete"].sum())
+    return [f"{missing} of {asked} tasks have no results."] if missing else []
 
 
-def _unfinished(points: Points) -> list[str]:
-    missing = int(np.count_nonzero(points.asked & ~points.done))
-    return [f"{missing} of {points.asked.sum()} tasks have no results."] if missing else []
-
-
-def _of_replicas(points: Points, point: int) -> list[str]:
-    if points.two_states[point]:
+def _of_replicas(point: xr.Dataset) -> list[str]:
+    if point["two_states"]:
         return []
     found = []
-    for name, text in (("chi", "mass spreads"), (points.current_name, "currents")):
-        if not points.has(f"{name}_error"):
+    for name, text in (("chi", "mass spreads"), (current_name(point), "currents")):
+        if f"{name}_error" not in point:
             continue
-        values, errors = points.value(name)[point], points.value(f"{name}_error")[point]
-        if disagreement(np.abs(values), errors) < UNLIKELY:
-            listed = ", ".join(f"{abs(value):.4g}" for value in values if np.isfinite(value))
+        values, errors = np.abs(point[name].values), point[f"{name}_error"].values
+        if disagreement(values, errors) < UNLIKELY:
+            listed = ", ".join(f"{value:.4g}" for value in values if np.isfinite(value))
             found.append(f"the {text} of the replicas ({listed}) disagree beyond their own errors.")
     return found
 
 
-def _excess(points: Points, point: int) -> tuple[float, float]:
-    """Return the relative excess of the net current over the one that chi explains, and its error.
+def _excess(points: xr.Dataset) -> Floats:
+    """Return the relative excess of net currents over those that chi explains, and its error.
 
-    The latter is from the conductance of well mixed urns; -1 if it is not known.
+    Shape (2, point). The latter are from the conductance of well mixed urns; NaN if not known.
     """
-    if points.shape != "circuit" or points.beyond_theory(point):
-        return -1.0, 0.0
-    circuit = points.circuit(point)
-    chi = points.chi[point]
-    mean, error = points.current[point], points.current_error[point]
-    expected = float(flow2(circuit, chi * float(circuit.number)))
-    if not (expected > 0.0 and chi > SPREAD):
-        return -1.0, 0.0
-    return float(mean / expected - 1.0), float(error / expected)
+    chi, (current, error) = means(points, "chi")[0], means(points, "polarised_current")
+    explained = [
+        float(flow2(circuit, spread * float(circuit.number)))
+        if spread > SPREAD and circuit.shape == "circuit" and not circuit.beyond_theory
+        else math.nan
+        for circuit, spread in zip(points["circuit"].values, chi, strict=True)
+    ]
+    expected = np.where(np.array(explained) > 0.0, explained, math.nan)
+    return np.array([current / expected - 1.0, error / expected])
 
 
-def _of_current(points: Points, point: int) -> list[str]:
+def _of_current(circuit: Circuit, excess: float, error: float) -> list[str]:
     """Compare the net current with the one that chi and memory of the urns, discs, explain."""
-    excess, error = _excess(points, point)
-    if excess <= 0.0 or (circuit := points.circuit(point)).outline is not None:
+    if not excess > 0.0 or circuit.outline is not None:
         return []
     most = memory_factor(circuit) - 1.0
     if excess - most <= max(EXCESS, DRIFT * error):
@@ -195,26 +194,27 @@ def _of_current(points: Points, point: int) -> list[str]:
     ]
 
 
-def _of_series(points: Points, point: int) -> list[str]:
-    number = float(points.value("number")[point])
-    moving = []
-    for replica in np.flatnonzero(points.done[point]):
-        try:
-            series = points.series(point, int(replica))
-        except InputError:  # none, or shorter than the interval
-            continue
-        if points.shape == "circuit" and drifts(np.abs(number - 2 * series.urn1_number) / number):
-            moving.append(str(replica))
-    if not moving:
-        return []
-    return [f"chi still moves in the second half of replica {', '.join(moving)}: short transient."]
+def _moving(points: xr.Dataset) -> dict[int, list[str]]:
+    """Return the replicas of each point in whose series chi still moves."""
+    found: dict[int, list[str]] = {}
+    if points.attrs.get("shape") != "urn":
+        with suppress(InputError):  # none was requested
+            for at, one in each_series(points):
+                number = float(points["number"].values[at])
+                if drifts(np.abs(number - 2.0 * one["urn1_number"].values) / number):
+                    found.setdefault(at, []).append(str(int(one["replica"])))
+    return found
 
 
-def _axial_of(points: Points, point: int) -> int:
-    """Return how many particles of the last snapshot move along the axis, 0 without snapshots."""
-    if not points.done[point].any() or points.shape != "circuit" or points.scatterers:
-        return 0
-    try:
-        return axial(points.any_circuit(point), points.snapshot(point, 0, -1))
-    except InputError:
-        return 0
+def _axial_of(points: xr.Dataset) -> list[int]:
+    """Return how many particles of a last snapshot of each point move along the axis.
+
+    Of its first complete replica; nothing if there are no snapshots.
+    """
+    done, counts = points["complete"].values, []
+    with suppress(InputError):
+        for at, circuit in enumerate(points["circuit"].values):
+            if done[at].any() and circuit.shape == "circuit" and not circuit.scatterers:
+                last = snapshot_of(points, at, int(done[at].argmax()), -1)
+                counts.append(axial(circuit, last))
+    return counts

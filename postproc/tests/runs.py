@@ -10,13 +10,15 @@ import h5py
 import numpy as np
 
 from postproc.reading.grid import dataset_of
-from postproc.reading.points import Points
+from postproc.reading.points import by_point
 from postproc.reading.seal import seal_of
 from postproc.running import run
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
+
+    import xarray as xr
 
 CASE = {
     "table": {},
@@ -38,9 +40,9 @@ def results_of(path: Path, **groups: dict[str, object]) -> Path:
     return run(given, folder=path.parent, quiet=True)
 
 
-def points_of(*paths: Path) -> Points:
+def points_of(*paths: Path) -> xr.Dataset:
     """Return the points of one results file, or of several."""
-    return Points(dataset_of(paths))
+    return by_point(dataset_of(paths))
 
 
 @contextmanager

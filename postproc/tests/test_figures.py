@@ -11,6 +11,8 @@ import pytest
 from matplotlib.figure import Figure
 
 from postproc.figures import appendix, circuits, currents, lengths, maps, style, theories
+from postproc.reading.groups import series_of
+from postproc.reading.points import means
 from postproc.tests.commands import call
 from postproc.tests.runs import BARE, edited, leave_out, points_of, results_of
 from postproc.theory.circuit import Circuit, single_urn_current
@@ -97,21 +99,18 @@ def test_model_names_the_lengths_and_shows_particles_of_a_run(folder: Path) -> N
 def test_comp05_has_a_panel_a_threshold(folder: Path) -> None:
     files = points_of(folder / "time.h5")
     made = circuits.figure_flows(files, QUICK[:1])
-    means = [
-        {name: files.series(at, 0).flows[name].mean() for name in currents.FLOW_LOOK}
-        for at in range(3)
-    ]
+    averages = [series_of(files, at, 0)[0].mean() for at in range(3)]
     titles = [axes.get_title("left") for axes in made.axes]
     assert [title for title in titles if title] == ["(a)  $T = 2$", "(b)  $T = 7$", "(c)  $T = 18$"]
     assert labels_of(made)[-4:] == [label for _, _, label in currents.FLOW_LOOK.values()]
     timed = [axes for axes in made.axes if axes.get_xlabel() != "$N_2/N$"]
     starts = [at for at, axes in enumerate(timed) if axes.get_title("left")]
-    for start, end, mean in zip(starts, [*starts[1:], None], means, strict=True):
+    for start, end, mean in zip(starts, [*starts[1:], None], averages, strict=True):
         for axes in timed[start:end]:
             assert axes.get_xlim() == (0.0, 1000.0)
             for (x, y), name in zip(marks_of(axes), currents.FLOW_LOOK, strict=True):
                 assert np.diff(x) == pytest.approx(1000.0 / currents.MARKS, abs=6.0)
-                assert y.mean() == pytest.approx(mean[name], rel=0.05, abs=1e-2)
+                assert y.mean() == pytest.approx(float(mean[name]), rel=0.05, abs=1e-2)
     assert len(made.axes) - len(timed) == 3
 
 
@@ -130,15 +129,15 @@ def test_comp06_shows_chi_from_one_and_the_stable_states(folder: Path) -> None:
     files = points_of(folder / "time.h5")
     made = circuits.figure_relaxation(files, QUICK)
     pairs = [(at, one) for at in range(3) for one in QUICK]
-    states = [one.reached(files.circuit(at), 0.0) for at, one in pairs]
-    series = [files.series(1, replica) for replica in (0, 1)]
+    states = [one.reached(files["circuit"].values[at], 0.0) for at, one in pairs]
+    series = series_of(files, 1)
     spread, current = made.axes
     assert spread.get_ylabel() == r"mass spread $\chi$"
     assert current.get_xlabel() == "time $t$  (length / $v$)"
     assert current.get_xlim() == (0.0, 1000.0)
     assert labels_of(made)[:3] == ["$T = 2$", "$T = 7$", "$T = 18$"]
     drawn = {line.get_label(): line.get_ydata() for line in spread.lines}
-    both = [np.abs(1000.0 - 2.0 * one.urn1_number) / 1000.0 for one in series]
+    both = [np.abs(1000.0 - 2.0 * one["urn1_number"].values) / 1000.0 for one in series]
     assert drawn["$T = 7$"] == pytest.approx(np.mean(both, axis=0))
     band = spread.collections[1].get_paths()[0].vertices[1:101]
     assert band[:, 1] == pytest.approx(np.mean(both, axis=0) - np.std(both, axis=0, ddof=1))
@@ -159,9 +158,9 @@ def test_against_time_the_polarised_current_is_that_of_the_file(tmp_path: Path) 
     files = points_of(path)
     axes = Figure().add_subplot()
     lines = circuits.draw_relaxation(axes, files, QUICK[:1], "polarised_current")
-    means = [line.get_ydata().mean() for line in lines]
-    assert means == pytest.approx(files.current, abs=0.03)
-    assert means[0] > 0.5
+    found = [line.get_ydata().mean() for line in lines]
+    assert found == pytest.approx(means(files, "polarised_current")[0], abs=0.03)
+    assert found[0] > 0.5
 
 
 def test_a_band_of_chi_stays_where_chi_can_be_and_a_line_at_its_end_is_seen(folder: Path) -> None:
@@ -178,7 +177,6 @@ def test_comp01_has_the_measured_currents_against_threshold_and_chi(folder: Path
     mixed = theories.named(["window", "renewal"])
     files = points_of(folder / "slices.h5")
     made = circuits.figure_curves(files, mixed)
-    gathered = files
     left, right = made.axes
     assert left.get_xlabel() == "$T/N$"
     assert left.get_ylabel() == "polarised current (per unit time)"
@@ -189,11 +187,10 @@ def test_comp01_has_the_measured_currents_against_threshold_and_chi(folder: Path
     told = [f"theory, {one.label}, in the same colours" for one in mixed]
     assert labels_of(made) == ["$w' = 0.0102$", "$w' = 0.0306$", *told]
     for at, width in enumerate((0.0102, 0.0306)):
-        group = gathered.where(gathered.channel2_width == width)
-        assert marks_of(left)[at] == pytest.approx(
-            np.array([group.threshold / 1000.0, group.current])
-        )
-        assert marks_of(right)[at] == pytest.approx(np.array([group.chi, group.current]))
+        group = files.isel(point=files["channel2_width"].values == width)
+        chi, current = (means(group, name)[0] for name in ("chi", "polarised_current"))
+        assert marks_of(left)[at] == pytest.approx(np.array([group["threshold"] / 1000.0, current]))
+        assert marks_of(right)[at] == pytest.approx(np.array([chi, current]))
         for one, mark in zip(mixed, circuits.THEORY_MARKS, strict=False):
             states = [one.reached(Circuit(1000, threshold, channel2_width=width), 500.0)
                       for threshold in range(4, 19)]  # fmt: skip
@@ -212,14 +209,14 @@ def test_numris_shows_each_point_and_the_transition_lines(folder: Path) -> None:
     files = points_of(folder / "homogeneous.h5", folder / "polarised.h5")
     made = maps.figure_phase_diagram(files, mixed)
     parts = [part for _, part in maps.by_start(files)]
-    lines = maps.transition_lines(parts[0], files.circuit(0), mixed)
+    lines = maps.transition_lines(parts[0], mixed)
     panels, bars = made.axes[:6], made.axes[6:]
-    values = [part.chi for part in parts], [part.current for part in parts]
+    values = [[means(part, name)[0] for part in parts] for name in ("chi", "polarised_current")]
     for column, (start, final) in enumerate(values):
         for row, drawn in enumerate((start, final, final - start)):
             axes = panels[2 * row + column]
             shown = axes.collections[0].get_array().filled(np.nan)
-            assert shown == pytest.approx(maps.grid(parts[0], KEYS, drawn)[2], nan_ok=True)
+            assert shown == pytest.approx(maps.map_of(parts[0], KEYS, drawn).values, nan_ok=True)
             for line, (fraction, widths, _, label) in zip(axes.lines, lines, strict=True):
                 assert line.get_label() == f"transition, {label}"
                 assert line.get_ydata() == pytest.approx(widths, nan_ok=True)
@@ -256,14 +253,11 @@ def test_appendix_shows_measured_currents_beside_theory(folder: Path) -> None:
     )
     files = points_of(folder / "urn.h5")
     by_number, relative, together = (draw(files) for draw in drawings)
-    gathered = files
-    circuits_ = [files.circuit(point) for point in range(len(files))]
-    expected = np.array([float(single_urn_current(one)) for one in circuits_])
-    groups = [
-        (gathered.number == number) & (gathered.channel1_width == width)
-        for number in (500, 1000)
-        for width in (0.1, 0.3)
-    ]
+    number, width, thresholds = (files[key].values for key in
+                                 ("number", "channel1_width", "threshold"))  # fmt: skip
+    currents_of_runs = means(files, "current1")[0]
+    expected = np.array([float(single_urn_current(one)) for one in files["circuit"].values])
+    groups = [(number == one) & (width == other) for one in (500, 1000) for other in (0.1, 0.3)]
     assert [axes.get_title("left") for axes in by_number.axes] == ["$N = 500$", "$N = 1000$"]
     marks = [one for axes in by_number.axes for one in marks_of(axes)]
     scaled = marks_of(together.axes[0])
@@ -278,9 +272,9 @@ def test_appendix_shows_measured_currents_beside_theory(folder: Path) -> None:
     notes = [text.get_text() for axes in relative.axes[:2] for text in axes.texts]
     assert f"{lowest:.2g}" in notes or any(note.startswith("$-10^") for note in notes)
     for at, group in enumerate(groups):
-        fraction, current = (gathered.threshold / gathered.number)[group], gathered.current[group]
+        fraction, current = (thresholds / number)[group], currents_of_runs[group]
         assert marks[at] == pytest.approx(np.array([fraction, current]))
-        assert scaled[at] == pytest.approx(np.array([fraction, current / gathered.number[group]]))
+        assert scaled[at] == pytest.approx(np.array([fraction, current / number[group]]))
         line = np.interp(fraction, *paper[at])
         assert line == pytest.approx(expected[group], rel=1e-9)
         apart = np.where(line > appendix.LEAST, (line - current) / line, np.nan)
@@ -306,24 +300,21 @@ def test_a_run_of_the_other_shape(
 
 def test_points_of_several_files_stand_side_by_side(folder: Path) -> None:
     gathered = points_of(folder / "homogeneous.h5", folder / "polarised.h5")
-    assert gathered.number.size == 24
-    assert [part.number.size for _, part in maps.by_start(gathered)] == [12, 12]
-    assert np.count_nonzero(np.isnan(gathered.chi)) == 2
+    assert gathered.sizes["point"] == 24
+    assert [part.sizes["point"] for _, part in maps.by_start(gathered)] == [12, 12]
+    assert np.count_nonzero(np.isnan(means(gathered, "chi")[0])) == 2
 
 
 def test_where_the_polarity_reverses_currents_do_not_cancel(folder: Path) -> None:
     with edited(folder / "homogeneous.h5") as file:
         file["current1"][0], file["polarised_current"][0], file["chi"][0] = 0.0, 0.7, 0.1
-    files = points_of(folder / "homogeneous.h5")
-    gathered = files
-    assert gathered.current[0] == 0.7
+    assert means(points_of(folder / "homogeneous.h5"), "polarised_current")[0][0] == 0.7
 
 
 def test_a_theory_without_a_transition_has_no_line(folder: Path) -> None:
     files = points_of(folder / "point.h5")
-    gathered, circuit = files, files.circuit(0)
     without = replace(MODELS["direction"], theory=Theory())
-    (line,) = maps.transition_lines(gathered, circuit, [without, MODELS["window"]])
+    (line,) = maps.transition_lines(files, [without, MODELS["window"]])
     assert line[3] == MODELS["window"].label
 
 
@@ -357,11 +348,9 @@ def test_each_start_has_its_maps_and_title(tmp_path: Path) -> None:
 
 
 def test_map_has_each_value_in_its_cell(folder: Path) -> None:
-    results = points_of(folder / "homogeneous.h5")
-    gathered = results
-    sums = gathered.threshold + gathered.channel2_width
-    thresholds, widths, filled = maps.grid(gathered, KEYS, sums)
-    assert filled == pytest.approx(1000.0 * thresholds[None, :] + widths[:, None])
+    points = points_of(folder / "homogeneous.h5")
+    filled = maps.map_of(points, KEYS, (points["threshold"] + points["channel2_width"]).values)
+    assert filled.values == pytest.approx(np.add.outer(filled.index, filled.columns))
     assert maps.edges(np.array([1.0, 2.0, 4.0])) == pytest.approx([0.5, 1.5, 3.0, 5.0])
 
 

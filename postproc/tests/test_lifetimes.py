@@ -8,10 +8,10 @@ import math
 
 import numpy as np
 import pytest
+import xarray as xr
 from scipy import stats
 
 from postproc.figures.passages import first_passage
-from postproc.reading.points import Series
 from postproc.tests.commands import call
 from postproc.theory import chain
 from postproc.theory.circuit import Circuit, half2_number, held_in_channels, in_urn
@@ -111,7 +111,7 @@ def test_lifetimes_grow_with_the_number_of_particles() -> None:
 
 def test_first_passage_in_a_series() -> None:
     time = np.arange(1.0, 6.0)
-    series = Series(time, np.array([0.0, 10.0, 30.0, 50.0, 50.0]), {})
+    series = xr.Dataset({"urn1_number": ("time", [0.0, 10.0, 30.0, 50.0, 50.0])}, {"time": time})
     assert first_passage(series, 100, 0.5, below=True) == (3.0, True)
     assert first_passage(series, 100, -1.0, below=True) == (5.0, False)
 

@@ -14,6 +14,7 @@ import pytest
 from postproc.cli import InputError
 from postproc.figures import one_channel, theories
 from postproc.figures.one_channel import Plane
+from postproc.reading.points import means
 from postproc.tests.commands import call
 from postproc.tests.runs import BARE, points_of, results_of
 from postproc.theory.circuit import Circuit, flow1, homogeneous_kind
@@ -34,7 +35,7 @@ PLANES = list(combinations(AXES, 2))
 def plane_over(keys: tuple[str, str], circuit: Circuit = BASE) -> Plane:
     """Return a plane whose chi is 0 before N w l/(8 T A) = 0.8 and rises from there to 1 at 0.9."""
     x, y = (np.linspace(*AXES[key], 181) for key in keys)
-    bare = Plane(circuit, keys, x, y, np.empty(0), np.empty(0), 0.5)
+    bare = Plane(circuit, keys, x, y, np.empty(0), 0.5)
     loads = one_channel.relative_load(bare.at(x[None, :], y[:, None]))
     return replace(bare, chi=np.clip((loads - 0.8) / 0.1, 0.0, 1.0))
 
@@ -137,7 +138,7 @@ def test_the_figure_has_each_map_with_its_lines(
     files = [points_of(folder / f"{name}.h5") for name in NAMES]
     made = one_channel.figure_one_channel(files)
     planes = [plane for points in files for plane in one_channel.planes_of(points)]
-    chi = [points.chi for points in files]
+    chi = [means(points, "chi")[0] for points in files]
     maps = [axes for axes in made.axes if axes.collections and axes.lines]
     symbols = [(axes.get_xlabel(), axes.get_ylabel()) for axes in maps]
     assert symbols == 2 * [("$l$", "$T$"), ("$w$", "$r$")]

@@ -19,7 +19,8 @@ from matplotlib.patches import Circle
 from postproc.cli import InputError
 from postproc.figures import circuits, currents, film, scene, style, theories
 from postproc.figures.scene import picture_of
-from postproc.reading.points import Snapshot, mean_error
+from postproc.reading.groups import Snapshot, series_of, snapshot_of
+from postproc.reading.points import alike, mean_error, means, remark, task_of
 from postproc.tests.commands import call
 from postproc.tests.runs import BARE, edited, leave_out, points_of, results_of
 from postproc.theory.circuit import Circuit, eta, flow1, flow2
@@ -58,7 +59,7 @@ def test_pictures_are_written(command: str, run_file: Path, tmp_path: Path) -> N
 def test_currents_show_the_series_the_theory_and_eta(run_file: Path) -> None:
     results = points_of(run_file)
     made = circuits.figure_flows(results, theories.named(["window", "renewal"]), (0, 1))
-    series, circuit = results.series(0, 1), results.circuit(0)
+    (series,), circuit = series_of(results, 0, 1), results["circuit"].values[0]
     *panels, balance = made.axes
     assert panels[0].get_title("left") == "$N = 1000$, $T = 7$, $w = 0.3$, $w' = 0.01$"
     assert panels[-1].get_xlabel() == "time $t$  (length / $v$)"
@@ -69,13 +70,13 @@ def test_currents_show_the_series_the_theory_and_eta(run_file: Path) -> None:
             assert container.get_label() == currents.FLOW_LOOK[name][2]
             x, y = container.lines[0].get_data()
             assert np.all((x > 0.0) & (x < 1000.0))
-            assert y.mean() == pytest.approx(series.flows[name].mean(), rel=0.05, abs=1e-3)
+            assert y.mean() == pytest.approx(float(series[name].mean()), rel=0.05, abs=1e-3)
         net = [line for line in axes.lines if str(line.get_label()).startswith("net current,")]
         assert [line.get_label() for line in net] == [
             "net current, channel 1, urn 1 → 2",
             "net current, channel 2, urn 2 → 1",
         ]
-        one, two = (results.value(f"current{channel}")[0, 1] for channel in (1, 2))
+        one, two = (float(results[f"current{channel}"][0, 1]) for channel in (1, 2))
         assert abs(one) > 0.5
         assert [line.get_ydata().mean() for line in net] == pytest.approx([one, -two], rel=0.1)
         # the paper's state with N2 = 968.7 or its mirror image, as the run chose
@@ -102,7 +103,7 @@ def test_currents_show_the_series_the_theory_and_eta(run_file: Path) -> None:
 def test_theory_has_the_colour_of_what_it_is_meant_for(run_file: Path) -> None:
     results = points_of(run_file)
     made = circuits.figure_flows(results, theories.named(["window"]), (0, 1))
-    circuit, series = results.circuit(0), results.series(0, 1)
+    circuit, (series,) = results["circuit"].values[0], series_of(results, 0, 1)
     second = theories.MODELS["window"].nearest_stable(
         circuit, currents.settled_number2(circuit, series)
     )
@@ -119,7 +120,7 @@ def test_theory_has_the_colour_of_what_it_is_meant_for(run_file: Path) -> None:
 
 def test_scene_shows_every_particle_and_counts_those_in_the_gates(run_file: Path) -> None:
     results = points_of(run_file)
-    circuit, snapshot = results.circuit(0), results.snapshot(0, 0, -1)
+    circuit, snapshot = results["circuit"].values[0], snapshot_of(results, 0, 0, -1)
     made = scene.picture_of(circuit, snapshot)
     whole, channel = made.axes
     first = np.count_nonzero(snapshot.x < 0.0)
@@ -211,8 +212,7 @@ def test_a_circuit_is_read_from_values_not_from_the_namelist(tmp_path: Path) -> 
     path = results_of(tmp_path / "run.h5", table=table, output=BARE)
     with edited(path) as file:
         file.attrs["namelist"] = "no namelist"
-    results = points_of(path)
-    assert results.circuit(0) == Circuit(1000, 7, **table, age=500.0)
+    assert alike(points_of(path)) == [Circuit(1000, 7, **table, age=500.0)]
 
 
 @pytest.mark.usefixtures("unwritten")
@@ -224,10 +224,9 @@ def test_scatterers_are_drawn_and_no_theory_is_asked(tmp_path: Path) -> None:
     for name in ("scene", "flows", "model"):
         assert call("plot", [name, *here]) == 0, name
     with pytest.raises(InputError, match="knows scatterers"):
-        stationary_states(points_of(path).circuit(0))
-    results = points_of(path)
-    drawn = picture_of(results.circuit(0), results.snapshot(0, 0, 0)).axes[0]
-    circuit, line = results.circuit(0), float(results.circuit(0).end)
+        stationary_states(points_of(path)["circuit"].item())
+    results, circuit = points_of(path), points_of(path)["circuit"].item()
+    drawn, line = picture_of(circuit, snapshot_of(results, 0, 0, 0)).axes[0], float(circuit.end)
     discs = [patch.center for patch in drawn.patches if isinstance(patch, Circle)]
     # In a film a flight stops at a disc.
     x, y = film.flown(circuit, Snapshot(0.0, *np.array([[0.2 - line], [0.0], [-1.0], [0.0]])), 0.15)
@@ -247,7 +246,7 @@ def test_a_film_reads_its_snapshots_at_once(
         return get(dataset, *which, **more)
 
     results = points_of(run_file)
-    single = [results.snapshot(0, 0, k) for k in range(3)]
+    single = [snapshot_of(results, 0, 0, k) for k in range(3)]
     monkeypatch.setattr(h5py.Dataset, "__getitem__", counted)
     together = film.read_scenes(results, 0, 0).snapshots
     assert len(together) == len(single) > 1
@@ -281,7 +280,7 @@ def test_a_partial_run_is_drawn_and_says_so(
     assert call("plot", ["flows", str(path), *words]) == 0
     assert "partial run: 3 of 4 tasks" in capsys.readouterr().err
     results = points_of(path)
-    mean, error = results.chi, results.chi_error
+    mean, error = means(results, "chi")
     assert np.all(np.isfinite(mean))
     assert error[0] > 0.0  # of its two replicas
     assert np.isnan(error[1]) or error[1] > 0.0
@@ -294,9 +293,10 @@ def test_of_a_partial_run_a_task_that_is_done_is_drawn(
     path = results_of(tmp_path / "part.h5", scan={"threshold": [7, 18]}, run={"duration": 200.0})
     leave_out(path, (0, 0), (0, 1), (1, 0))
     results = points_of(path)
-    assert results.task(None, None) == (1, 1)
-    assert results.task(2, None) == (1, 1)
-    assert results.task(1, 2) == (0, 1)
+    assert remark(results) == "partial run: 1 of 4 tasks"
+    assert task_of(results, None, None) == (1, 1)
+    assert task_of(results, 2, None) == (1, 1)
+    assert task_of(results, 1, 2) == (0, 1)
     here = [str(path), "--output", str(tmp_path)]
     assert call("plot", ["scene", *here, "--point", "2"]) == 0
     for name in ("comp05", "comp06"):
@@ -331,7 +331,7 @@ def test_unlike_sides_are_drawn_as_they_are(unlike_file: Path, tmp_path: Path) -
     picture = re.search(r'src="data:image/png;base64,([^"]+)"', told)[1]
     assert plt.imread(io.BytesIO(base64.b64decode(picture)))[..., :3].min() == 0.0
     results = points_of(unlike_file)
-    table, shot = results.any_circuit(0), results.snapshot(0, 0, 0)
+    table, shot = results["circuit"].values[0], snapshot_of(results, 0, 0, 0)
     chord, beyond = (np.sqrt(radius**2 - 0.15**2) for radius in (1.2, 0.8))
     ends = [0.5 + chord + np.sqrt(radius**2 - 0.1**2) + 0.5
             for chord, radius in ((chord, 1.2), (beyond, 0.8))]  # fmt: skip

@@ -25,6 +25,7 @@ from postproc.reading import results_file
 from postproc.reporting import data as columns_of
 from postproc.tests.commands import call
 from postproc.tests.runs import BARE, edited, leave_out, points_of, results_of
+from postproc.theory.models import MODELS
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -268,6 +269,21 @@ def test_series_come_with_a_part_of_the_dataset(folder: Path) -> None:
     assert (ends["start"] + ends["duration"]).unique().tolist() == [100.0]
 
 
+def test_merged_results_have_their_series_each_to_its_end(tmp_path: Path) -> None:
+    paths = [results_of(tmp_path / f"{one}.h5", scan={"replicas": 1}, run={"duration": one},
+                        particles={"number": 200, "seed": one}) for one in (50, 90)]  # fmt: skip
+    merged, (short, long) = postproc.merge(paths).series, map(postproc.open_results, paths)
+    assert merged["urn1_number"].dims[-2:] == ("replica", "time")
+    for at, part in enumerate((short, long)):
+        own = part.series["urn1_number"].values.ravel()
+        shown = merged["urn1_number"].isel(replica=at).values.ravel()
+        assert shown[: own.size].tolist() == own.tolist()
+        assert np.isnan(shown[own.size :]).all()
+    for part in (short[["chi"]], short.mean("replica")):
+        with pytest.raises(InputError, match="or of points of it"):
+            part.series  # noqa: B018 (it reads)
+
+
 def test_of_a_part_only_its_series_are_read(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """In any order, also where all series together do not fit into memory."""
     data = postproc.open_results(folder / "map.h5")
@@ -311,3 +327,52 @@ def test_one_thing_has_one_number_wherever_it_is_shown(folder: Path) -> None:
         assert cells == pytest.approx(shown, nan_ok=True)
     assert isinstance(axes, Axes)
     assert maps.values_of(points, "chi")[0] == pytest.approx(table["chi"], nan_ok=True)
+
+
+TWO = {"threshold": [2, 4], "replicas": 3}
+CASES = {
+    "circuit": {"scan": TWO},
+    "polygons": {"table": {"urn_shape": "polygon", "urn_sides": 6}, "scan": TWO},
+    "one channel": {"table": {"channel2_width": 0.0}, "scan": TWO},
+    "one urn": {"table": {"shape": "urn"}, "scan": TWO},
+    "one point": {"gate": {"threshold": 4}, "scan": {"replicas": 4}},
+    "one replica": {"gate": {"threshold": 4}},
+}
+SHOWN = {"one channel": ["chi"], "one urn": ["current1"]}  # others: chi and polarised current
+
+
+def on_screen(printed: str, points: int) -> np.ndarray:
+    """Return the last table that a run printed, a row a point, mean and error of each quantity."""
+    lines = printed.rsplit("     N    T ", maxsplit=1)[-1].splitlines()[1 : points + 1]
+    return np.array([[one.replace("-", "nan") if one == "-" else one for one in line.split()[5:]]
+                     for line in lines], float)  # fmt: skip
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_the_screen_and_python_show_the_same_of_any_table(
+    case: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The table that a run prints, `open_results`, `table`, report and figure; theories as well."""
+    groups = {"particles": {"number": 200}, "run": {"duration": 200.0}, "output": {"file": "a.h5"}}
+    path = postproc.run({**groups, **CASES[case]}, folder=tmp_path)
+    data, points = postproc.open_results(path, theory="window"), points_of(path)
+    names = SHOWN.get(case, ["chi", "polarised_current"])
+    screen = on_screen(capsys.readouterr().out, points.sizes["point"])
+    assert screen.shape == (points.sizes["point"], 2 * len(names))
+    table = postproc.table(path, theory="window")
+    page = columns_of.points_of(points, columns_of.scanned(points), {"window": MODELS["window"]})
+    for at, name in enumerate(names):
+        column = "chi" if name == "chi" else "current"
+        known = postproc.mean_error(data[name], data[f"{name}_error"])
+        mean, error = (np.atleast_1d(known[what]) for what in ("mean", "error"))
+        theory = np.atleast_1d(data[f"theory_{name}"])
+        (drawn,) = plot.curves(data, ax=Figure().add_subplot(), variable=name)
+        for expected, shown, rounding in (
+            (mean, screen[:, 2 * at], {"abs": 6e-6}), (error, screen[:, 2 * at + 1], {"abs": 6e-6}),
+            (mean, table[name], {}), (error, table[f"{name}_error"], {}),
+            (mean, page[column], {"rel": 1e-4}), (error, page[f"{column}_error"], {"rel": 0.05}),
+            (mean, drawn.lines[0].get_ydata(), {}),
+            (theory, table[f"window_{name}"], {}),
+            (theory, page[f"window_{column}"], {"rel": 1e-4}),
+        ):  # fmt: skip
+            assert np.asarray(shown) == pytest.approx(expected, nan_ok=True, **rounding)

@@ -11,10 +11,8 @@ import matplotlib as mpl
 import pytest
 
 from postproc.figures import circuits, film, lengths, maps, scene, style, theories
-from postproc.reading.grid import open_results
-from postproc.reading.points import Points
 from postproc.reporting import page
-from postproc.tests.runs import results_of
+from postproc.tests.runs import points_of, results_of
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -46,7 +44,7 @@ def file(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def pictures(file: Path, folder: Path) -> dict[str, bytes]:
     """Return the contents of pictures of each kind."""
     window = theories.named(["window"])
-    points = Points(open_results(file))
+    points = points_of(file)
     made = {
         "map": maps.figure_phase_diagram(points, window),
         "flows": circuits.figure_flows(points, window, (0, 0)),
@@ -59,7 +57,7 @@ def pictures(file: Path, folder: Path) -> dict[str, bytes]:
         for path in style.save(one, folder, name):
             found[path.name] = path.read_bytes()
     found["film"] = (folder / "film.gif").read_bytes()
-    found["page"] = page._picture(points.circuit(0)).encode()
+    found["page"] = page._picture(points["circuit"].values[0]).encode()
     return found
 
 

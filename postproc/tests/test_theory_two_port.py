@@ -336,7 +336,8 @@ def test_nothing_goes_round_between_equal_urns() -> None:
 def test_error_of_what_circulates_is_the_scatter_of_other_particles() -> None:
     """Of six sets; the scatter is known to a third, the mean error to a tenth."""
     root, urns, found = two_port.stationary_states(PAPER)[-1], [ports.disc(PAPER)] * 2, []
-    straight = two_port.straight_at(PAPER, root.urn2_number)
+    at = two_port.with_number2(PAPER, root.urn2_number)
+    straight = circulation.followed(PAPER, at.entries[:, 0], at.across[:, 0])
     for seed in range(1, 7):
         straight.seed = seed
         found.append([float(one) for one in circulation.carried(straight, PAPER, urns, PAPER.age)])

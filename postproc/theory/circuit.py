@@ -106,6 +106,11 @@ class Circuit:
         return not self.unlike
 
     @property
+    def beyond_theory(self) -> bool:
+        """Whether it has scatterers or unequal sides: no theory of figures applies."""
+        return bool(self.scatterers or self.unlike)
+
+    @property
     def unlike(self) -> str:
         """Differences of the sides in words; empty if urns and gates are equal."""
         pairs = {

@@ -6,6 +6,7 @@ They are in the order of cost. For the fields of a declaration see `model.Model`
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from functools import partial
 from typing import TYPE_CHECKING
 
@@ -17,8 +18,6 @@ from postproc.theory.renewal import RENEWAL
 from postproc.theory.states import Theory
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
-
     from postproc.theory.circuit import Circuit
 
 
@@ -80,13 +79,13 @@ def defaults(circuits: Iterable[Circuit]) -> tuple[Model, Model]:
     return MODELS["window"], better
 
 
-def named(names: Iterable[str], circuits: Iterable[Circuit] = ()) -> tuple[Model, ...]:
-    """Return theories by their names.
+def named(names: str | Iterable[str], circuits: Iterable[Circuit] = ()) -> tuple[Model, ...]:
+    """Return theories by their names, one or several.
 
     Raises `InputError` if there is none of a name, or if one does not apply to a circuit.
     """
     found, asked = [], set(circuits)
-    for name in names:
+    for name in names if isinstance(names, Iterable) and not isinstance(names, str) else [names]:
         if not (isinstance(name, str) and name in MODELS):
             raise InputError(f"there is no theory {name!r}; there are {', '.join(MODELS)}")
         if refused := next((one for one in map(MODELS[name].refusal, asked) if one), ""):

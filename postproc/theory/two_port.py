@@ -16,14 +16,14 @@ as well. Well mixed urns give the flows of eqs. (eqapp5) and (eq007), and G = w'
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy import optimize
 
 from postproc.theory import ports
-from postproc.theory.circulation import circulating, followed, with_circulation
+from postproc.theory.circulation import circulating, with_circulation
 from postproc.theory.states import State, crossings, places_of
 
 if TYPE_CHECKING:
@@ -32,14 +32,12 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
     from postproc.theory.circuit import Circuit
-    from postproc.theory.circulation import Straight
     from postproc.theory.ports import Ports
 
     Floats = NDArray[np.float64]
     Memory = Callable[[Circuit], Ports]
 
 STEP = 1e-5  # relative, of N1, next to equal urns
-WIDTHS_TRIED = 24  # of channel 2, at which a transition is searched for
 FEWEST = 1e-9  # smallest share of channel 1's particles to one urn
 ROUNDS = 60  # at most, of the iteration for the number in the channels
 
@@ -229,7 +227,7 @@ def outflows(circuit: Circuit, memory: Memory = ports.disc) -> tuple[Floats, Flo
     return at.in_half[1], sent
 
 
-def _with_number2(circuit: Circuit, number2: float) -> Balance:
+def with_number2(circuit: Circuit, number2: float) -> Balance:
     """Return the stationary pair of urns at N2 = `number2`."""
     number = float(circuit.number)
 
@@ -244,27 +242,12 @@ def _with_number2(circuit: Circuit, number2: float) -> Balance:
     return balance(circuit, optimize.brentq(excess, fewest, most, rtol=1e-12))
 
 
-def flows(circuit: Circuit, number2: float) -> Floats:
-    """Return the flows of channels 1 and 2 from urn 1 to 2 and back at N2 = `number2`.
-
-    Per unit time, shape (channel, way); without circulation.
-    """
-    at = _with_number2(circuit, number2)
-    return np.stack([at.through[:, 0], at.across[:, 0]])
-
-
-def straight_at(circuit: Circuit, number2: float) -> Straight:
-    """Return the particles that cross urns without a wall hit at N2 = `number2`."""
-    at = _with_number2(circuit, number2)
-    return followed(circuit, at.entries[:, 0], at.across[:, 0])
-
-
 def circulating_at(circuit: Circuit, number2: float, ages: ArrayLike) -> Floats:
     """Return the circulating current at N2 = `number2`, at each age of a run.
 
     Age 0 is the current of one round, which is present at once; infinity the stationary one.
     """
-    return _around(circuit, _with_number2(circuit, number2), ages)[0]
+    return _around(circuit, with_number2(circuit, number2), ages)[0]
 
 
 def conductance(circuit: Circuit, memory: Memory = ports.disc) -> float:
@@ -272,29 +255,3 @@ def conductance(circuit: Circuit, memory: Memory = ports.disc) -> float:
     one = memory(circuit)
     c = one.across / (1.0 + one.return_chance - 2.0 * one.across)
     return c / (one.stay1 + c * (2.0 * one.stay1 - one.stay2))
-
-
-def transition_width(circuit: Circuit, start: float) -> float:
-    """Return the w' at which equal urns' homogeneous state becomes stable, NaN without one.
-
-    `start` is another theory's result, NaN if it has none; the search begins around it.
-    """
-    diameter = 2.0 * float(circuit.urn_radius)
-
-    def at(width: float) -> float:
-        return growth(replace(circuit, channel2_width=width))
-
-    if float(circuit.threshold) == 0.0:
-        return 0.0  # any open channel 2 brings both urns to equal densities
-    if at(0.0) <= 0.0:
-        return math.nan
-    widths = np.geomspace(1e-3, 0.99, WIDTHS_TRIED) * diameter
-    near = start * np.array([0.5, 0.8, 1.25, 2.0])
-    tried = [near] if math.isfinite(start) else []
-    for candidates in (*tried, np.concatenate([[0.0], widths])):
-        places = candidates[candidates < diameter]
-        values = [at(width) for width in places]
-        for k in range(len(values) - 1):
-            if values[k] > 0.0 >= values[k + 1]:
-                return float(optimize.brentq(at, places[k], places[k + 1], rtol=1e-6))
-    return math.nan

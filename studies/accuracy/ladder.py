@@ -12,7 +12,6 @@ import numpy as np
 from postproc.advice.advice import transition_between as transition
 from postproc.advice.model_errors import BATTERY
 from postproc.reading.grid import open_results
-from postproc.reading.points import Points
 from postproc.theory.direction import transfer
 from postproc.theory.models import MODELS
 from postproc.theory.ports import mean_stay
@@ -125,22 +124,23 @@ def theory_answers(model: Model) -> dict[str, Answer]:
 
 def battery_answers(path: Path) -> dict[str, Answer]:
     """Return chi and net current of a file with one point; errors from its replicas alone."""
-    results = Points(open_results(path))
-    done = results.done[0]
-    seconds = float(results.value("cpu_seconds")[0][done].sum())
+    results = open_results(path)
+    results = results.where(results["task_status"] == 0, drop=True)
+    seconds = float(results["cpu_seconds"].sum())
     values = {
-        "chi": results.value("chi")[0][done],
+        "chi": results["chi"].values.ravel(),
         # signed: the run begins with urn 2 full, whose battery drives 1 -> 2 in channel 1
-        "current": results.value("current1")[0][done],
+        "current": results["current1"].values.ravel(),
     }
     return {name: Answer(*map(float, mean_of(value)), seconds) for name, value in values.items()}
 
 
 def transition_answer(path: Path) -> Answer:
     """Return the transition of a file with a scan of T."""
-    results = Points(open_results(path))
-    seconds = float(results.value("cpu_seconds").sum())
-    return Answer(*transition_of(results.value("threshold"), results.value("chi")), seconds)
+    results = open_results(path)
+    seconds = float(results["cpu_seconds"].sum())
+    transition = transition_of(results["threshold"].values, results["chi"].values)
+    return Answer(*transition, seconds)
 
 
 def shares(chi: Floats, current: Floats) -> tuple[Floats, ...]:
@@ -173,8 +173,8 @@ def engine_keys(rung: Rung) -> dict[str, object]:
 
 def seconds_per_time(path: Path) -> float:
     """Return the CPU time of a run per unit of time, in s."""
-    results = Points(open_results(path))
-    return float(results.value("cpu_seconds").sum() / results.value("time").sum())
+    results = open_results(path)
+    return float(results["cpu_seconds"].sum() / results["time"].sum())
 
 
 def run_rung(study: Study, rung: Rung, seconds: float) -> tuple[dict[str, Answer], float]:

@@ -19,7 +19,6 @@ import numpy as np
 from postproc.advice.advice import HALFWAY
 from postproc.advice.transients import of_chi
 from postproc.reading.grid import open_results
-from postproc.reading.points import Points
 from studies.accuracy import charts, ladder
 from studies.accuracy.ladder import BATTERY, LONGER, QUANTITIES, RUNGS
 from studies.accuracy.ladder_errors import SURE, TOLERANCES, cancelling, cheapest
@@ -134,9 +133,9 @@ def run_points(
 
 def _read(path: Path, transient: float) -> Floats:
     """Return the fields of `Told` of a file, shape (field, point)."""
-    results = Points(open_results(path))
+    results = open_results(path)
     names = ("chi", "polarised_current", "cpu_seconds", "time")
-    chi, current, seconds, time = (results.value(name) for name in names)
+    chi, current, seconds, time = (results[name].values for name in names)
     count, waited = chi.shape[1], np.full(len(chi), transient)
     per_time = seconds.sum(axis=1) / time.sum(axis=1)
     return np.array(

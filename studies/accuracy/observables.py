@@ -15,7 +15,6 @@ import numpy as np
 
 from postproc.advice import transients
 from postproc.reading.grid import open_results
-from postproc.reading.points import Points
 from studies.accuracy import charts, ladder
 from studies.accuracy.ladder import QUANTITIES, Answer
 from studies.common.numbers import with_errors
@@ -45,9 +44,8 @@ def long_runs(study: Study) -> Path:
 
 def total_time(path: Path) -> float:
     """Return the total measured time of runs."""
-    results = Points(open_results(path))
-    past = results.value("transient_time")
-    return float((results.value("time") - past)[results.done].sum())
+    results = open_results(path)
+    return float((results["time"] - results["transient_time"]).sum())
 
 
 def reference(study: Study) -> dict[str, Answer]:
@@ -100,9 +98,10 @@ def averages(study: Study) -> list[dict[str, float]]:
         "particles": {"urn1_number": 500},
     }
     rows = []
-    results = Points(open_results(study.run("battery", "averages", changes)))
-    for point, threshold in enumerate(AVERAGED):
-        time, hits = (results.value(name)[point] for name in ("chi", "chi_collision"))
+    results = open_results(study.run("battery", "averages", changes))
+    for threshold in AVERAGED:
+        one = results.sel(threshold=threshold)
+        time, hits = (one[name].values for name in ("chi", "chi_collision"))
         seen = with_errors(chi=time, less=hits - time)
         rows.append({"threshold": threshold, "error": seen.pop("chi_error"), **seen})
     return rows

@@ -224,13 +224,19 @@ def reversal(circuit: Circuit) -> float:
     return 1.0 - float(fate.passing(threshold, entries, *fate.cosine_law(half))[0])
 
 
+def straight_at(circuit: Circuit, number2: float) -> Straight:
+    """Return the particles that cross urns without a wall hit at N2 = `number2`."""
+    at = two_port.with_number2(circuit, number2)
+    return circulation.followed(circuit, at.entries[:, 0], at.across[:, 0])
+
+
 def predicted_rates(work: study.Study, at: int) -> Logs:
     """Return what theory has of the logs of a circuit, by draw: rates, and current of rounds."""
     case = CASES[at]
     duration = float(logs_of(work, at)["duration"])
     flown = np.linspace(TRANSIENT, TRANSIENT + duration, 200)
     flown = flown / circulation.round_time(case.circuit)
-    straight = two_port.straight_at(case.circuit, state_of(case.circuit).urn2_number)
+    straight = straight_at(case.circuit, state_of(case.circuit).urn2_number)
     found: dict[str, list[float | Floats]] = {"theory": [], "current": []}
     for draw in range(many(work)):
         straight.seed = circulation.FIRST + draw

@@ -7,7 +7,6 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from postproc.theory import two_port
 from postproc.theory.circuit import Circuit
 from postproc.theory.models import MODELS
 from studies.circulation import study as circulation
@@ -32,7 +31,7 @@ def test_eighth_rounds_are_as_frequent_as_in_runs(
     with monkeypatch.context() as patch:
         patch.setattr(circulation.circulation, "SAMPLES", 2**8)  # its current is not asked for
         state = circulation.state_of(case.circuit)
-    straight = two_port.straight_at(case.circuit, state.urn2_number)
+    straight = circulation.straight_at(case.circuit, state.urn2_number)
     monkeypatch.setattr(circulation.circulation, "ROUNDS", 64)  # what is turned back begins anew
     found = circulation.reached(straight)
     assert abs(found[1, 8] - measured) < 4.0 * np.hypot(error, 0.03 * measured)
@@ -41,7 +40,7 @@ def test_eighth_rounds_are_as_frequent_as_in_runs(
 def test_rounds_are_reached_one_after_the_other() -> None:
     """With open gates none begins anew: later rounds are less frequent than earlier ones."""
     circuit = Case(threshold=1000).circuit
-    found = circulation.reached(two_port.straight_at(circuit, 500.0))
+    found = circulation.reached(circulation.straight_at(circuit, 500.0))
     assert np.all(np.diff(found[:, 1:]) <= 1e-12)
 
 

@@ -6,8 +6,12 @@ exact gates between well mixed urns, and counts particles in the channels.
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy import optimize
 
 from postproc import circuits
 from postproc.theory import two_port
@@ -16,16 +20,54 @@ from postproc.theory.models import MODELS, describe
 from postproc.theory.states import Theory
 
 if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
     from postproc.theory.circuit import Circuit
 
+    Floats = NDArray[np.float64]
 
-def _line_of_two_ports(circuit: Circuit) -> float:
-    return two_port.transition_width(circuit, transition_width(circuit))
+WIDTHS_TRIED = 24  # of channel 2, at which a transition is searched for
+
+
+def _flows(circuit: Circuit, number2: float) -> Floats:
+    """Return the flows of channels 1 and 2 from urn 1 to 2 and back at N2 = `number2`.
+
+    Per unit time, shape (channel, way); without circulation.
+    """
+    at = two_port.with_number2(circuit, number2)
+    return np.stack([at.through[:, 0], at.across[:, 0]])
+
+
+def _transition_width(circuit: Circuit) -> float:
+    """Return the w' at which equal urns' homogeneous state becomes stable, NaN without one.
+
+    The search begins around that of the paper's theory.
+    """
+    start = transition_width(circuit)
+    diameter = 2.0 * float(circuit.urn_radius)
+
+    def at(width: float) -> float:
+        return two_port.growth(replace(circuit, channel2_width=width))
+
+    if float(circuit.threshold) == 0.0:
+        return 0.0  # any open channel 2 brings both urns to equal densities
+    if at(0.0) <= 0.0:
+        return math.nan
+    widths = np.geomspace(1e-3, 0.99, WIDTHS_TRIED) * diameter
+    near = start * np.array([0.5, 0.8, 1.25, 2.0])
+    tried = [near] if math.isfinite(start) else []
+    for candidates in (*tried, np.concatenate([[0.0], widths])):
+        places = candidates[candidates < diameter]
+        values = [at(width) for width in places]
+        for k in range(len(values) - 1):
+            if values[k] > 0.0 >= values[k + 1]:
+                return float(optimize.brentq(at, places[k], places[k + 1], rtol=1e-6))
+    return math.nan
 
 
 _PORTS = Theory(
-    two_port.stationary_states, two_port.homogeneous_kind, _line_of_two_ports, two_port.outflows,
-    flows=two_port.flows, growth=two_port.growth,
+    two_port.stationary_states, two_port.homogeneous_kind, _transition_width, two_port.outflows,
+    flows=_flows, growth=two_port.growth,
 )  # fmt: skip
 _COUNTED = MODELS["direction"].changes
 _OTHERS = (

@@ -25,7 +25,8 @@ import numpy as np
 
 from postproc import cli
 from postproc.reading.grid import open_results
-from postproc.reading.points import Points
+from postproc.reading.groups import series_of
+from postproc.reading.points import by_point
 from postproc.theory.circuit import Circuit
 from studies.common import study
 from studies.one_particle.walkers import stationary_states
@@ -104,19 +105,20 @@ def print_hollow(paths: Sequence[Path]) -> None:
     """Print the density of chi next to 0, over that at its mode, for each point and start."""
     print(f"{'w2':>7} {'T':>3} {'chi(0)':>6} {'chi':>7} {'+-':>7} {'hollow':>7}")
     for path in paths:
-        results = Points(open_results(path))
-        chi, first = results.value("chi"), results.value("urn1_number")
-        for at in range(results.points):
-            circuit, done = results.circuit(at), np.flatnonzero(results.done[at])
-            spreads = []
-            for replica in done:
-                series, number = results.series(at, int(replica)), float(circuit.number)
-                late = series.time > float(results.value("transient_time")[at, replica])
-                spreads.append(np.abs(2.0 * series.urn1_number[late] / number - 1.0))
-            start = abs(2.0 * float(np.ravel(first[at])[0]) / float(circuit.number) - 1.0)
-            error = float(chi[at, done].std(ddof=1)) / math.sqrt(done.size)
+        results = by_point(open_results(path))
+        for at, circuit in enumerate(results["circuit"].values):
+            point = results.isel(point=at, replica=results["complete"].values[at])
+            chi, begun = point["chi"].values, point["transient_time"].values
+            spreads = [
+                np.abs(2.0 * one["urn1_number"].values / float(circuit.number) - 1.0)[
+                    one["time"].values > past
+                ]
+                for one, past in zip(series_of(results, at), begun, strict=True)
+            ]
+            start = float(point["start"])
+            error = float(chi.std(ddof=1)) / math.sqrt(chi.size)
             print(f"{float(circuit.channel2_width):7.4f} {int(circuit.threshold):3d} "
-                  f"{start:6.2f} {chi[at, done].mean():7.4f} {error:7.4f} "
+                  f"{start:6.2f} {chi.mean():7.4f} {error:7.4f} "
                   f"{hollow(np.concatenate(spreads)):7.2f}")  # fmt: skip
 
 
