@@ -128,13 +128,13 @@ class Circuit:
         Returns
         -------
         list of State
-            By increasing N2. The first is the homogeneous one; of unequal urns or gates only those
-            that the theory finds. `kind` is "stable" or "unstable" ("neutral": nothing flows),
+            By increasing N2. The first is the homogeneous one; of unequal urns or gates all N2 from
+            0 to N are searched. `kind` is "stable" or "unstable" ("neutral": nothing flows),
             `mass_spread` is chi, `net_current` that of channel 1 from urn 1 to urn 2.
         """
         (known,), own = named(theory), self.model(age)
         found = known.states(own)
-        if not own.alike:
+        if not known.of(own).alike:  # two gates that never reverse are alike
             return found
         return [State(0.5 * self.number, known.homogeneous_kind(own), 0.0, 0.0), *found]
 

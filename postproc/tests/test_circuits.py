@@ -31,6 +31,28 @@ def test_states_are_those_of_the_papers_insets(threshold: int, kinds: list[str])
     assert circuit.eta([one.urn2_number for one in states]) == pytest.approx(0.0, abs=1e-9)
 
 
+@pytest.mark.parametrize("theory", ["window", "renewal"])
+def test_eta_and_its_picture_have_both_gates_and_both_urns(theory: str) -> None:
+    alike = Circuit(number=1000, threshold=3)
+    for one, other in (({"threshold": (3, 18)}, {"threshold": (18, 3)}),
+                       ({"urn_radius": (1.0, 2.0)}, {"urn_radius": (2.0, 1.0)})):  # fmt: skip
+        unequal = Circuit(**{"number": 1000, "threshold": 3, **one})
+        mirrored = Circuit(**{"number": 1000, "threshold": 3, **other})
+        places = np.array([100.0, 500.0, 900.0])
+        assert np.all(unequal.eta(places, theory) != alike.eta(places, theory))
+        assert unequal.eta(places, theory) == pytest.approx(-mirrored.eta(1000 - places, theory))
+        axes = Figure().subplots()
+        unequal.plot_eta(theory, axes)
+        discs = sorted(line.get_xdata()[0] for line in axes.lines if line.get_marker() == "o")
+        assert discs == [state.urn2_number / 1000 for state in unequal.states(theory)]
+
+
+@pytest.mark.parametrize("theory", ["window", "renewal"])
+def test_two_gates_that_never_reverse_are_alike(theory: str) -> None:
+    (state,) = Circuit(number=24, threshold=(31, 63)).states(theory)
+    assert (state.urn2_number, state.kind) == (12.0, "stable")
+
+
 def test_lines_of_transition_go_through_the_widths() -> None:
     thresholds = [0, 2, 7, 12, 20, 40]
     for theory in ("window", "renewal"):

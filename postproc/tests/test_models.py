@@ -32,6 +32,26 @@ def twin(monkeypatch: pytest.MonkeyPatch) -> Model:
     return TWIN
 
 
+@pytest.mark.parametrize("theory", MODELS)
+@pytest.mark.parametrize("circuit", [
+    Circuit(400, 4, channel2_width=0.02),
+    Circuit(400, 4, channel2_width=0.02, gate2_threshold=12),
+    Circuit(400, 4, channel2_width=0.02, urn2_radius=1.2),
+    Circuit(400, 4, 0.5, 0.02, gate2_threshold=1000, urn2_radius=1.2),
+])  # fmt: skip
+def test_eta_is_zero_in_each_state(theory: str, circuit: Circuit) -> None:
+    """`direction` interpolates its flows, which has an error of a few thousandths."""
+    model = MODELS[theory]
+    assert any(kind == "stable" for _, kind in model.zeros(circuit))
+    for number, kind in model.zeros(circuit):
+        sent = sum(model.levels(circuit, number)[f"flow{one}_12"] for one in (1, 2))
+        allowed = sent * (1e-9 if model.mixed else 5e-3)
+        assert float(model.eta(circuit, number)) == pytest.approx(0.0, abs=allowed)
+        away = 0.01 * float(circuit.number) * (1.0 if kind == "stable" else -1.0)
+        assert model.eta(circuit, number - away) > allowed or number < away
+        assert model.eta(circuit, number + away) < -allowed or number + away > circuit.number
+
+
 @pytest.mark.usefixtures("twin")
 def test_a_theory_that_is_added_to_the_list_is_known_everywhere(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch

@@ -53,6 +53,53 @@ def test_states_of_the_papers_three_panels(
         assert state.net_current == pytest.approx(current, abs=5e-5)
 
 
+@pytest.mark.parametrize("theory", ["window", "renewal"])
+def test_a_gate_that_passes_nothing_beside_one_that_passes_all(theory: str) -> None:
+    """By hand N1 w' = N2 (w + w')."""
+    circuit = Circuit(1000, 18, 1.0, 0.3, gate2_threshold=1000)
+    for length in (1.0, 10.0):
+        one = replace(circuit, channel1_length=length)
+        (state,), homogeneous = MODELS[theory].states(one), MODELS[theory].homogeneous_kind(one)
+        assert (state.kind, homogeneous) == ("stable", "stable")
+        assert state.urn2_number == pytest.approx(187.5, abs=1e-3)
+        area = float(circuit.urn_area)
+        assert state.net_current == pytest.approx((187.5 - 812.5) * 0.3 / (math.pi * area))
+    closed = replace(circuit, threshold=0, channel2_width=0.0)
+    assert [one.urn2_number for one in MODELS[theory].states(closed)] == [0.0]
+    closed = replace(circuit, channel2_width=0.0, channel1_length=10.0)
+    assert [one.urn2_number for one in MODELS[theory].states(closed)] == [0.0]
+
+
+def test_unequal_circuits_have_stable_states_with_unstable_ones_between() -> None:
+    """What flows from urn 1 to 2 less what flows back changes its sign from N2 = 0 to N2 = N."""
+    random = np.random.default_rng(4)
+    for at in range(200):
+        number, *thresholds = (int(10.0**one) for one in random.uniform([1, 0, 0], [4, 3, 3]))
+        width1, radius = (float(one) for one in random.uniform([0.05, 0.8], [1.5, 1.6]))
+        width2, length = (float(10.0**one) for one in random.uniform([-3.0, -1.0], [0.2, 1.0]))
+        circuit = Circuit(
+            number, thresholds[0], width1, width2 if at % 5 else 0.0, channel1_length=length,
+            gate2_threshold=thresholds[1], urn2_radius=radius if at % 2 else 1.0,
+        )  # fmt: skip
+        for theory in ("window", "renewal"):
+            model = MODELS[theory]
+            kinds = [kind for _, kind in sorted(model.zeros(circuit))]
+            assert kinds[::2] == ["stable"] * (len(kinds) // 2 + 1), circuit
+            assert kinds[1::2] == ["unstable"] * (len(kinds) // 2), circuit
+
+
+@pytest.mark.parametrize("theory", ["window", "renewal", "direction"])
+@pytest.mark.parametrize("unequal", [{}, {"gate2_threshold": 9, "urn2_radius": 1.2}])
+def test_nothing_flows_through_a_closed_channel_2(theory: str, unequal: dict[str, float]) -> None:
+    circuit, model = Circuit(400, 4, channel2_width=0.0, **unequal), MODELS[theory]
+    for state in (found := model.states(circuit)):
+        assert str(state.net_current) == "0.0"
+        assert state.net_current_infinite_age in (None, 0.0)
+    levels = model.levels(circuit, found[-1].urn2_number)
+    assert [str(levels[f"current{one}"]) for one in (1, 2)] == ["0.0", "0.0"]
+    assert levels["flow2_12"] == levels["flow2_21"] == 0.0
+
+
 def test_urn_area_is_the_disc_between_its_chords() -> None:
     radius, width1, width2 = 1.3, 0.9, 0.4
     chord1, chord2 = (math.sqrt(radius**2 - width**2 / 4) for width in (width1, width2))

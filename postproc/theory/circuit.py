@@ -56,7 +56,7 @@ class Circuit:
         channel 2, so w' = 0; particles that hit the wall return through the gate, so they are in it
         for 2 tau, as in the circuit particles are in both gates.
     urn2_radius, gate2_threshold : r of urn 2 and T of its gate if they differ from those of urn 1.
-        This module computes quantities of one side: call it for each of `sides`.
+        Functions of the number in one urn are those of urn 1: call them for each of `sides`.
     scatterers : z, y, radius of each disc in channel 2, z from urn 2 to urn 1. They are drawn in
         figures; no theory includes them (`InputError`).
     outline, urn2_outline : the corners of urns that are polygons, see `outlines`; None: discs
@@ -248,19 +248,16 @@ def eta(circuit: Circuit, urn2_number: ArrayLike) -> Floats:
     """
     second = np.asarray(urn2_number, float)
     first = np.asarray(circuit.number, float) - second
-    return (
-        flow1(circuit, first)
-        + flow2(circuit, first)
-        - flow1(circuit, second)
-        - flow2(circuit, second)
-    )
+    one, two = circuit.sides
+    return flow1(one, first) + flow2(one, first) - flow1(two, second) - flow2(two, second)
 
 
 def eta_slope(circuit: Circuit, urn2_number: ArrayLike) -> Floats:
     """Return d eta/d N2: a stationary state is stable where it is negative (per unit time)."""
     second = np.asarray(urn2_number, float)
     first = np.asarray(circuit.number, float) - second
-    return -_outflow_slope(circuit, first) - _outflow_slope(circuit, second)
+    one, two = circuit.sides
+    return -_outflow_slope(one, first) - _outflow_slope(two, second)
 
 
 def _outflow_slope(circuit: Circuit, number: Floats) -> Floats:
@@ -283,9 +280,10 @@ def log_outflow(circuit: Circuit, number: ArrayLike) -> Floats:
 
 
 def net_current2(circuit: Circuit, urn2_number: ArrayLike) -> Floats:
-    """Return the net current of channel 2 from urn 1 to urn 2, (N1 - N2) w'/(pi A)."""
+    """Return the net current of channel 2 from urn 2 to urn 1, (N2 - N1) w'/(pi A)."""
     second = np.asarray(urn2_number, float)
-    return flow2(circuit, np.asarray(circuit.number, float) - second) - flow2(circuit, second)
+    one, two = circuit.sides
+    return flow2(two, second) - flow2(one, np.asarray(circuit.number, float) - second)
 
 
 def half2_number(circuit: Circuit, share2: ArrayLike) -> Floats:
@@ -296,8 +294,9 @@ def half2_number(circuit: Circuit, share2: ArrayLike) -> Floats:
     share = np.asarray(share2, float)
     if not circuit.occupation:
         return share
-    first, second = in_urn(circuit, np.asarray(circuit.number) - share), in_urn(circuit, share)
-    return second + held_in_channels(circuit, second)[0] + held_in_channels(circuit, first)[1]
+    one, two = circuit.sides
+    first, second = in_urn(one, np.asarray(circuit.number) - share), in_urn(two, share)
+    return second + held_in_channels(two, second)[0] + held_in_channels(one, first)[1]
 
 
 def homogeneous_kind(circuit: Circuit) -> str:

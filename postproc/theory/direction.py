@@ -407,10 +407,11 @@ def around(
 def stationary_states(circuit: Circuit) -> list[State]:
     """Return all states of a circuit, for equal urns those with N2 > N/2 (chi above 0.02)."""
     number, found = float(circuit.number), []
+    closed = float(circuit.channel2_width) == 0.0  # nothing flows there, what represents it leaks
     for held, kind in _held_states(circuit):
         second = float(held.in_half[1])
         chi = abs(2.0 * second - number) / number
-        state = State(second, kind, chi, held.net_current)
+        state = State(second, kind, chi, 0.0 if closed else held.net_current)
         found.append(with_circulation(state, *around(circuit, held, [circuit.age, math.inf])))
     return found
 
@@ -423,6 +424,8 @@ def flows(circuit: Circuit, number2: float) -> Floats:
     held = [one for _, one in scan(circuit)]
     second = np.array([one.in_half[1] for one in held])
     carried = np.array([[one.through, one.across[:, 0]] for one in held])
+    if float(circuit.channel2_width) == 0.0:
+        carried[:, 1] = 0.0
     if circuit.alike:  # the mirror images
         second = np.concatenate([float(circuit.number) - second[::-1], second])
         carried = np.concatenate([carried[::-1, :, ::-1], carried])

@@ -133,7 +133,7 @@ class Model:
 
     def theory_of(self, circuit: Circuit) -> Theory:
         """Return the functions for a circuit, depending on whether urns and gates are equal."""
-        return self.theory if self.unlike is None or circuit.alike else self.unlike
+        return self.theory if self.unlike is None or self.of(circuit).alike else self.unlike
 
     def solve(self, circuit: Circuit) -> list[State]:
         """Return all states with N2 > N/2, computed without the cache."""
@@ -177,7 +177,7 @@ class Model:
         """
         half = 0.5 * float(circuit.number)
         found = list(self.states(circuit))
-        if circuit.alike:
+        if self.of(circuit).alike:
             found.insert(0, State(half, self.homogeneous_kind(circuit), 0.0, 0.0))
             number2 = half + abs(number2 - half)
         stable = [one for one in found if one.kind != "unstable"]
@@ -191,13 +191,16 @@ class Model:
         """Return (N2, kind) of all stationary states, on both sides of N/2 and at it."""
         total = float(circuit.number)
         found = [(one.urn2_number, one.kind) for one in self.states(circuit)]
+        if not self.of(circuit).alike:
+            return found
         found += [(total - number, kind) for number, kind in found]
         return [*found, (0.5 * total, self.homogeneous_kind(circuit))]
 
     def nearest_stable(self, circuit: Circuit, number2: float) -> float:
         """Return N2 of the stable state (either sign of N2 - N1) nearest to `number2`."""
         stable = [number for number, kind in self.zeros(circuit) if kind != "unstable"]
-        return min(stable, key=lambda number: abs(number - number2))
+        # with none nothing flows, and any N2 stays
+        return min(stable, key=lambda number: abs(number - number2), default=number2)
 
     def eta(self, circuit: Circuit, number2: ArrayLike) -> Floats:
         """Return eta of eq. (eq007), the gain of urn 2 (per unit time); NaN if it has none."""
@@ -225,7 +228,8 @@ class Model:
         )
         states = self.states(circuit)
         pairs = [abs(second - one.urn2_number) for one in states]
-        pairs += [abs(own.number - second - one.urn2_number) for one in states]
+        if own.alike:
+            pairs += [abs(own.number - second - one.urn2_number) for one in states]
         around = 0.0
         if pairs and min(pairs) < 1e-6 * float(own.number):
             state = states[int(np.argmin(pairs)) % len(states)]
@@ -239,7 +243,7 @@ class Model:
             for at, way in enumerate(("12", "21"))
         }
         current2 = found["flow2_12"] - found["flow2_21"]
-        return {**found, "current1": -current2, "current2": current2}
+        return {**found, "current1": 0.0 - current2, "current2": current2}  # no -0.0
 
     def transition_line(self, circuit: Circuit, first: int, last: int) -> tuple[Floats, Floats]:
         """Return (T, w') along the line of transition, eq. (transition), from one T to another.
@@ -326,8 +330,8 @@ def _reachable(circuit: Circuit) -> dict[str, object]:
 
 def _carried(circuit: Circuit, number2: float) -> Floats:
     """Return the flows of channels 1 and 2 from urn 1 to 2 and back, for well mixed urns."""
-    held = np.array([float(circuit.number) - number2, number2])
-    return np.stack([flow1(circuit, held), flow2(circuit, held)])
+    held = list(zip(circuit.sides, (float(circuit.number) - number2, number2), strict=True))
+    return np.array([[flow(*one) for one in held] for flow in (flow1, flow2)])
 
 
 def _mixed_line(circuit: Circuit, whole: NDArray[np.int_], label: str) -> tuple[Floats, Floats]:

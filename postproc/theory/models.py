@@ -7,15 +7,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from functools import partial
 from typing import TYPE_CHECKING
 
 from postproc.cli import InputError, finite
-from postproc.theory import direction, ports, settling, two_port
+from postproc.theory import direction, ports, settling
 from postproc.theory.gates import WINDOW
 from postproc.theory.model import Model
 from postproc.theory.renewal import RENEWAL
-from postproc.theory.states import Theory
+from postproc.theory.states import Theory, kind_next_to_equal
 
 if TYPE_CHECKING:
     from postproc.theory.circuit import Circuit
@@ -34,12 +33,7 @@ def _of_ports(circuit: Circuit) -> dict[str, object]:
     return {name: [getattr(one, field) for one in found] for name, field in names.items()}
 
 
-_MIXED_UNLIKE = Theory(
-    states=partial(two_port.stationary_states, memory=ports.well_mixed),
-    homogeneous_kind=partial(two_port.homogeneous_kind, memory=ports.well_mixed),
-    transition_width=_no_line,
-    outflows=partial(two_port.outflows, memory=ports.well_mixed),
-)
+_MIXED_UNLIKE = Theory(homogeneous_kind=kind_next_to_equal, transition_width=_no_line)
 _DIRECTIONS = Theory(
     direction.stationary_states, direction.homogeneous_kind, _no_line, direction.outflows,
     settling.passages, direction.flows, direction.growth,

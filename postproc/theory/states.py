@@ -4,7 +4,8 @@ Zeros are searched for in d = N2 - N/2 > 0 by g(d) = log f(N1) - log f(N2), whic
 eta and does not underflow. f has a large curvature only where the load of a gate is near its
 threshold, over a width of its square root, so points there, at equal steps, and on a logarithmic
 scale towards both ends bracket every zero; minima of |g| in between are computed for pairs that are
-closer.
+closer. Of unequal urns or gates g is f of urn 1 over its area less f of urn 2, and all N2 from 0
+to N are searched.
 """
 
 from __future__ import annotations
@@ -39,7 +40,7 @@ NEAREST = 1e-6  # states closer to N/2 than this, relative to it, are the homoge
 
 @dataclass(frozen=True)
 class State:
-    """A stationary state with N2 > N/2 (its mirror image is one too).
+    """A stationary state, of equal urns and gates with N2 > N/2 (its mirror image is one too).
 
     Attributes
     ----------
@@ -65,23 +66,46 @@ class State:
 
 
 def stationary_states(circuit: Circuit) -> list[State]:
-    """Return all states with N2 > N/2 of a circuit with scalar fields, by increasing N2."""
+    """Return all states of a circuit with scalar fields, by increasing N2.
+
+    Of equal urns and gates those with N2 > N/2.
+    """
     half = 0.5 * float(np.asarray(circuit.number))
-    closed = float(circuit.channel2_width) == 0.0
-    if closed and float(circuit.threshold) == 0.0:
-        return []
+    one, two = circuit.sides
+    if float(circuit.channel2_width) == one.threshold == two.threshold == 0.0:
+        return []  # nothing flows
+    larger = np.log(one.urn_area / two.urn_area)
 
     def balance(first: ArrayLike) -> NDArray[np.float64]:
-        few = np.asarray(first, float)
-        return log_outflow(circuit, few) - log_outflow(circuit, 2.0 * half - few)
+        some = np.asarray(first, float)
+        return log_outflow(one, some) - log_outflow(two, 2.0 * half - some) - larger
 
-    places = places_of(circuit, half)  # N1, decreasing from N/2 to 0
+    # N1, decreasing from N/2 to 0, or from N
+    places = places_of(one, half) if circuit.alike else places_of_unequal(circuit)
     values = balance(places)
-    values[0] = 1.0 if homogeneous_kind(circuit) == "unstable" else -1.0
+    if circuit.alike:
+        values[0] = 1.0 if homogeneous_kind(circuit) == "unstable" else -1.0
     roots = crossings(balance, places, values)
-    if closed and values[-1] > 0.0:
+    if values[-1] > 0.0:
         roots.append((0.0, "stable"))  # N1 underflows: all particles in one urn
+    if values[0] < 0.0 and not circuit.alike:
+        roots.insert(0, (2.0 * half, "stable"))  # N2 does
     return [_state(circuit, 2.0 * half, first, kind) for first, kind in roots]
+
+
+def kind_next_to_equal(circuit: Circuit) -> str:
+    """Return the kind of the state of unequal urns or gates with the most nearly equal densities.
+
+    "neutral": there is no flow.
+    """
+    number = float(circuit.number)
+    area1, area2 = (float(side.urn_area) for side in circuit.sides)
+
+    def apart(state: State) -> float:
+        one, two = (number - state.urn2_number) / area1, state.urn2_number / area2
+        return abs(one - two) / (one + two)
+
+    return min(found, key=apart).kind if (found := stationary_states(circuit)) else "neutral"
 
 
 def stable_state(circuit: Circuit) -> State | None:
@@ -103,6 +127,14 @@ def places_of(circuit: Circuit, half: float) -> NDArray[np.float64]:
     first = half * (1.0 - NEAREST)
     inside = inside[(inside > 0.0) & (inside < first)]
     return np.concatenate([[first], np.unique(inside)[::-1]])
+
+
+def places_of_unequal(circuit: Circuit) -> NDArray[np.float64]:
+    """Return N1 at which g is evaluated if urns or gates differ, from just below N to 0."""
+    half = 0.5 * float(circuit.number)
+    above, below = (places_of(side, half) for side in circuit.sides)
+    found = np.unique(np.concatenate([above, [half], 2.0 * half - below]))[::-1]
+    return found[(found > 0.0) & (found < 2.0 * half)]
 
 
 def crossings(
@@ -161,8 +193,8 @@ def _with_close_pairs(
 def _state(circuit: Circuit, number: float, first: float, kind: str) -> State:
     second = number - first
     in_half = float(half2_number(circuit, second))
-    current = -float(net_current2(circuit, second))
-    return State(in_half, kind, (2.0 * in_half - number) / number, current)
+    current = float(net_current2(circuit, second))
+    return State(in_half, kind, abs(2.0 * in_half - number) / number, current)
 
 
 @dataclass(frozen=True)

@@ -24,7 +24,7 @@ from scipy import optimize
 
 from postproc.theory import ports
 from postproc.theory.circulation import circulating, with_circulation
-from postproc.theory.states import State, crossings, places_of
+from postproc.theory.states import State, crossings, places_of, places_of_unequal
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -159,12 +159,7 @@ def _roots(circuit: Circuit, memory: Memory) -> list[tuple[float, str]]:
         found = np.nan_to_num(balance(circuit, first, memory).log_excess, posinf=1e9, neginf=-1e9)
         return found if np.ndim(first) else found[0]
 
-    one, two = circuit.sides
-    places = places_of(one, 0.5 * number)
-    if not circuit.alike:
-        mirrored = number - places_of(two, 0.5 * number)
-        places = np.unique(np.concatenate([places, mirrored, [0.5 * number]]))[::-1]
-        places = places[(places > 0.0) & (places < number)]
+    places = places_of(circuit, 0.5 * number) if circuit.alike else places_of_unequal(circuit)
     closed = float(circuit.channel2_width) == 0.0
     if not closed:  # an urn with a smaller inflow 1 has only what channel 2 brings
         places = places[(places > FEWEST * number) & (places < (1.0 - FEWEST) * number)]
@@ -172,7 +167,7 @@ def _roots(circuit: Circuit, memory: Memory) -> list[tuple[float, str]]:
     if circuit.alike:
         values[0] = 1.0 if growth(circuit, memory) > 0.0 else -1.0
     roots = crossings(excess, places, values)
-    if closed and values[-1] > 0.0 and float(one.threshold) > 0.0:
+    if closed and values[-1] > 0.0 and float(circuit.threshold) > 0.0:
         roots.append((0.0, "stable"))  # too few to be resolved
     return roots
 
@@ -216,11 +211,7 @@ def outflows(circuit: Circuit, memory: Memory = ports.disc) -> tuple[Floats, Flo
 
     Shapes (case,) and (half, case), N2 increasing over what the theory can hold.
     """
-    number = float(circuit.number)
-    one, two = circuit.sides
-    above, below = places_of(one, 0.5 * number), places_of(two, 0.5 * number)
-    first = np.unique(np.concatenate([above, [0.5 * number], number - below]))[::-1]
-    at = balance(circuit, first[(first > 0.0) & (first < number)], memory)
+    at = balance(circuit, places_of_unequal(circuit), memory)
     with np.errstate(divide="ignore"):
         through2 = np.log(np.maximum(at.across, 0.0))
         sent = np.logaddexp(np.log(at.entries) + at.log_share, through2)

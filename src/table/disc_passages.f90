@@ -214,8 +214,8 @@ contains
   end subroutine recompute_grazing_incidences
 
   !> Lists the passages that cannot be traced back to their start: those before which a slow
-  !> particle is in the channel, and those that start on the wall, or at the end of a chord and so on
-  !> the circle too, where rounding would decide whether the particle was reflected. One that has
+  !> particle is in the channel, and those that start on the wall, or at the end of a chord and so
+  !> on the circle too, where rounding would decide whether the particle was reflected. One that has
   !> glided along the wall of its channel may fly to the corner opposite, which belongs to the urn:
   !> its first impact must not lie in that opening by rounding.
   pure subroutine list_wall_starts(disc, visits)
