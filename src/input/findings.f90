@@ -16,12 +16,11 @@ module battery_findings
   !> Largest number of letters of a word of the file that a problem quotes.
   integer, parameter :: most_letters = 80
 
-  !> Severities: a problem of the text or of the plan; a remark on what is allowed.
-  integer, parameter, public :: problem = 1, remark = 2
-
-  !> Kinds, by what `value` is: the value of the key; a state of the key; the state that the key is
-  !> missing; a sentence.
-  integer, parameter, public :: of_value = 1, of_state = 2, of_missing = 3, of_sentence = 4
+  !> Kinds, by what `value` is: a sentence on the text; one on a group; the value of the key; a
+  !> state of the key; the state that the key is missing; a remark on what is allowed. Of one line
+  !> those on the text come first, and then those on groups.
+  integer, parameter, public :: of_text = 1, of_group = 2, of_value = 3, of_state = 4, &
+    of_missing = 5, of_remark = 6
 
   !> One finding. Components that it does not need are not allocated.
   type :: finding_type
@@ -30,9 +29,7 @@ module battery_findings
     !> What was found, and what is allowed instead.
     character(len=:), allocatable :: value, allowed
     character(len=:), allocatable :: group, key
-    integer :: kind = of_sentence, severity = problem
-    !> Whether the value is one of a scan.
-    logical :: scanned = .false.
+    integer :: kind = of_text
     !> Number of points of the scan that have it, the first of them and the last; 0: it is not about
     !> points.
     integer :: points = 0, first_point = 0, last_point = 0
@@ -64,18 +61,25 @@ contains
     integer :: place, reported
 
     reported = min(findings%count, most_reported)
-    place = 1 + count(findings%first(:reported)%line <= finding%line)
+    place = 1 + count(rank_of(findings%first(:reported)) <= rank_of(finding))
     if (place <= most_reported) then
       reported = min(reported + 1, most_reported)
       findings%first(place + 1:reported) = findings%first(place:reported - 1)
       findings%first(place) = finding
     end if
-    if (finding%line >= findings%last%line) findings%last = finding
+    if (rank_of(finding) >= rank_of(findings%last)) findings%last = finding
     findings%count = findings%count + 1
   end subroutine add_finding
 
+  !> Rank of a finding among those of its file.
+  elemental integer function rank_of(finding)
+    type(finding_type), intent(in) :: finding
+
+    rank_of = of_value*finding%line + min(finding%kind, of_value)
+  end function rank_of
+
   !> A finding from its components.
-  pure type(finding_type) function finding_of(line, value, allowed, group, key, kind, severity) &
+  pure type(finding_type) function finding_of(line, value, allowed, group, key, kind) &
       result(finding)
     !> Line, from 1; 0: it concerns the whole file, or its line is not known yet.
     integer, intent(in) :: line
@@ -83,17 +87,16 @@ contains
     character(len=*), intent(in) :: value
     !> What is allowed instead; group and key.
     character(len=*), intent(in), optional :: allowed, group, key
-    !> Kind, if not `of_value` with a key and `of_sentence` without; severity, if not `problem`.
-    integer, intent(in), optional :: kind, severity
+    !> Kind, if not `of_value` with a key and `of_text` without.
+    integer, intent(in), optional :: kind
 
     finding%line = line
     finding%value = value
     if (present(allowed)) finding%allowed = allowed
     if (present(group)) finding%group = group
     if (present(key)) finding%key = key
-    finding%kind = merge(of_value, of_sentence, present(key))
+    finding%kind = merge(of_value, of_text, present(key))
     if (present(kind)) finding%kind = kind
-    if (present(severity)) finding%severity = severity
   end function finding_of
 
   !> All problems of the file `name`, one per line, in the order of its lines, those without a line

@@ -4,7 +4,7 @@ module battery_plan_remarks
   use battery_current_age, only: current_remark
   use battery_keys, only: key_radius
   use battery_kinds, only: wp
-  use battery_findings, only: finding_type, finding_of, remark
+  use battery_findings, only: finding_type, finding_of, of_remark
   use battery_plan, only: plan_type, point_type, point_of, points_text
   use battery_table, only: channel2
   use battery_text, only: string_type, to_text, join
@@ -76,7 +76,7 @@ contains
       type(finding_type) :: finding
 
       if (points(what) == 0) return
-      finding = finding_of(0, sentence, key='', severity=remark)
+      finding = finding_of(0, sentence, key='', kind=of_remark)
       finding%points = points(what)
       finding%first_point = first(what)
       remarks = [remarks, string_type(sentence//points_text(plan, finding))]
