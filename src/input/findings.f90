@@ -6,8 +6,7 @@ module battery_findings
   implicit none (type, external)
   private
   public :: finding_type, findings_type, point_findings_type
-  public :: finding_of, add_finding, findings_text, add_point_findings, reported_findings
-  public :: displayable_text
+  public :: finding_of, add_finding, findings_text, add_point_findings, displayable_text
 
   !> Largest number of problems that are reported one by one, and of problems of points that are
   !> stored; of the others, only the number.
@@ -42,13 +41,15 @@ module battery_findings
     type(finding_type), private :: first(most_reported), last
   end type findings_type
 
-  !> Findings on points: those that differ in any component, and those that differ in key or value;
-  !> of each at most `most_reported`.
+  !> Findings on points, at most `most_reported`: all that differ or, if those are more, all that
+  !> differ in key or value.
   type :: point_findings_type
-    type(finding_type), allocatable :: different(:), of_values(:)
-    !> Number of points with findings; whether there were more of each.
+    type(finding_type), allocatable :: list(:)
+    !> Whether findings that differ only in what is allowed are different.
+    logical :: exact = .true.
+    !> Number of points with findings; whether there were more of them than are listed.
     integer :: points = 0
-    logical :: more_different = .false., more_values = .false.
+    logical :: more = .false.
   end type point_findings_type
 
 contains
@@ -139,63 +140,55 @@ contains
 
   !> Adds the findings on one point of the scan.
   pure subroutine add_point_findings(gathered, findings, point)
-    !> Findings on the points so far.
+    !> Findings on the points so far; its list is allocated.
     type(point_findings_type), intent(inout) :: gathered
     !> Findings on the point.
     type(finding_type), intent(in) :: findings(:)
     !> Index of the point.
     integer, intent(in) :: point
+    type(finding_type) :: found
     integer :: at
 
-    if (.not. allocated(gathered%different)) &
-      allocate (gathered%different(0), gathered%of_values(0))
     if (size(findings) > 0) gathered%points = gathered%points + 1
     do at = 1, size(findings)
-      call count_finding(gathered%different, findings(at), .true., point, gathered%more_different)
-      call count_finding(gathered%of_values, findings(at), .false., point, gathered%more_values)
+      found = findings(at)
+      found%points = 1
+      found%first_point = point
+      found%last_point = point
+      call count_finding(gathered, found)
     end do
   end subroutine add_point_findings
 
-  !> Increments the number of points of a finding, or adds the finding.
-  pure subroutine count_finding(kept, finding, exactly, point, more)
-    type(finding_type), allocatable, intent(inout) :: kept(:)
+  !> Adds the points of a finding to those of one that is listed, or lists it.
+  pure recursive subroutine count_finding(gathered, finding)
+    type(point_findings_type), intent(inout) :: gathered
     type(finding_type), intent(in) :: finding
-    !> Whether findings that differ only in what is allowed are different.
-    logical, intent(in) :: exactly
-    integer, intent(in) :: point
-    !> Set if there are `most_reported` findings already.
-    logical, intent(inout) :: more
+    type(finding_type), allocatable :: before(:)
     integer :: k
 
-    do k = 1, size(kept)
-      if (kept(k)%key /= finding%key .or. kept(k)%value /= finding%value) cycle
-      if (kept(k)%allowed == finding%allowed .or. .not. exactly) exit
+    do k = 1, size(gathered%list)
+      associate (listed => gathered%list(k))
+        if (listed%key /= finding%key .or. listed%value /= finding%value .or. &
+          (listed%allowed /= finding%allowed .and. gathered%exact)) cycle
+        listed%points = listed%points + finding%points
+        listed%last_point = finding%last_point
+        return
+      end associate
     end do
-    more = more .or. k > most_reported
-    if (k > most_reported) return
-    if (k > size(kept)) then
-      kept = [kept, finding]
-      kept(k)%first_point = point
-    end if
-    kept(k)%points = kept(k)%points + 1
-    kept(k)%last_point = point
-  end subroutine count_finding
-
-  !> Findings on points to be reported: all that differ, or, if there are too many, one for each
-  !> value of a key.
-  pure function reported_findings(gathered) result(findings)
-    !> Findings on all points, from `add_point_findings`.
-    type(point_findings_type), intent(in) :: gathered
-    type(finding_type), allocatable :: findings(:)
-
-    if (.not. allocated(gathered%different)) then
-      allocate (findings(0))
-    else if (gathered%more_different) then
-      findings = gathered%of_values
+    if (k <= most_reported) then
+      gathered%list = [gathered%list, finding]
+    else if (gathered%exact) then
+      ! Too many: from now on they need only differ in key or value.
+      gathered%exact = .false.
+      before = [gathered%list, finding]
+      gathered%list = before(:0)
+      do k = 1, size(before)
+        call count_finding(gathered, before(k))
+      end do
     else
-      findings = gathered%different
+      gathered%more = .true.
     end if
-  end function reported_findings
+  end subroutine count_finding
 
   !> A word of a file made safe to print: shortened, control characters replaced by `?`.
   pure function displayable_text(word) result(shown)

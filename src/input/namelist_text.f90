@@ -297,29 +297,22 @@ contains
     character(len=:), allocatable, intent(out) :: text
     character(len=:), allocatable, intent(inout) :: problem
     character(len=1) :: quote
-    character(len=:), allocatable :: letters
-    integer :: count
+    integer :: length
 
     quote = next_sign(reader)
-    reader%at = reader%at + 1
-    count = line_length(reader)
-    allocate (character(len=count) :: letters)
-    count = 0
+    text = ''
     do
-      if (at_end(reader) .or. next_sign(reader) == line_end) then
-        problem = 'the quote that ends '//quote//displayable_text(letters(:count)) &
-          //' is missing in its line'
-        exit
-      end if
-      if (next_sign(reader) == quote) then
-        reader%at = reader%at + 1
-        if (next_sign(reader) /= quote) exit
-      end if
-      count = count + 1
-      letters(count:count) = next_sign(reader)
       reader%at = reader%at + 1
+      length = index(reader%text(reader%at:reader%at + line_length(reader) - 1), quote) - 1
+      if (length < 0) exit
+      text = text//reader%text(reader%at:reader%at + length - 1)
+      reader%at = reader%at + length + 1
+      if (next_sign(reader) /= quote) return
+      text = text//quote
     end do
-    text = letters(:count)
+    text = text//reader%text(reader%at:reader%at + line_length(reader) - 1)
+    call skip_line(reader)
+    problem = 'the quote that ends '//quote//displayable_text(text)//' is missing in its line'
   end subroutine read_quoted
 
   !> Whether the next characters are a name and =, so that the values have ended.

@@ -52,8 +52,6 @@ contains
     !> Groups, and the line in which each is first; 0: none.
     type(string_type), allocatable :: groups(:)
     integer, allocatable :: first_line(:)
-    !> Line of the first entry that probably means a key, but cannot set it; 0: none.
-    integer :: meant_line(size(keys))
     integer :: at
 
     groups = distinct_names(keys%group)
@@ -62,35 +60,29 @@ contains
     do at = 1, size(keys)
       call set_default(keys(at), settings%all(at))
     end do
-    meant_line = 0
     reader = reader_of(text)
     do
       call read_next(reader, entry, settings%problems)
       if (.not. allocated(entry%group)) exit
       if (allocated(entry%key)) then
-        call use_entry(entry, settings, meant_line)
+        call use_entry(entry, settings)
       else
         call check_group(groups, entry, first_line, settings%problems)
       end if
     end do
     ! A misspelt key, or one with an index, counts as given and refused, so it is not reported as
     ! missing as well.
-    do at = 1, size(keys)
-      associate (setting => settings%all(at))
-        if (setting%given .or. meant_line(at) == 0) cycle
-        setting%given = .true.
-        setting%known = .false.
-        setting%line = meant_line(at)
-      end associate
-    end do
+    associate (all => settings%all)
+      where (all%line > 0 .and. .not. all%given) all%known = .false.
+      all%given = all%line > 0
+    end associate
   end subroutine read_settings
 
-  !> Sets the key that an entry names, or reports why it cannot be set.
-  subroutine use_entry(entry, settings, meant_line)
+  !> Sets the key that an entry names, or reports why it cannot be set. The key that it probably
+  !> means gets its line then, unless it has one.
+  subroutine use_entry(entry, settings)
     type(entry_type), intent(in) :: entry
     type(settings_type), intent(inout) :: settings
-    !> Line of the first entry that probably means each key, but cannot set it.
-    integer, intent(inout) :: meant_line(:)
     integer :: place
 
     place = find_key(settings%all%key, entry%group, entry%key)
@@ -100,13 +92,11 @@ contains
     else if (settings%all(place)%given) then
       call refuse_entry(entry, 'is given again', 'once (line ' &
         //to_text(settings%all(place)%line)//')', settings%problems)
-      return
     else if (.not. entry%refused) then
       call set_from_entry(entry, settings%all(place), settings%problems)
-      return
     end if
     if (place == 0) return
-    if (meant_line(place) == 0) meant_line(place) = entry%line
+    if (settings%all(place)%line == 0) settings%all(place)%line = entry%line
   end subroutine use_entry
 
   !> Saves or restores the values of all keys, so that others need not parse the text.
@@ -114,7 +104,6 @@ contains
     !> On reading, its keys must be there, as `read_settings` leaves them after an empty text.
     type(settings_type), intent(inout) :: settings
     type(archive_type), intent(inout) :: archive
-    integer(int64), allocatable :: words(:)
     integer :: at, items
 
     do at = 1, size(settings%all)
@@ -124,9 +113,8 @@ contains
         call archive%serialize('flag', setting%flag)
         items = size(setting%integers)
         call archive%serialize('items', items)
-        words = [setting%integers, spread(0_int64, 1, max(0, items - size(setting%integers)))]
-        call archive%serialize('integers', words(:items))
-        setting%integers = words(:items)
+        if (archive%reading) setting%integers = spread(0_int64, 1, items)
+        call archive%serialize('integers', setting%integers)
         call archive%serialize_list('reals', setting%reals)
         call archive%serialize_text('text', setting%text)
         call archive%serialize_text('canonical', setting%canonical)

@@ -206,15 +206,12 @@ contains
         if (any(is_beyond(list%key, values))) then
           call refuse_value(plan, trim(range%key%name), to_text(maxval(values)), &
             'numbers up to '//to_text(list%key%greatest))
+          values = values(:0)
         else if (allowed /= '') then
           call refuse_value(plan, trim(range%key%name), numbers_text(range%reals, ', '), allowed)
           ! The key is scanned all the same, and not missing.
           values = values(:1)
-          return
-        else
-          return
         end if
-        values = [real(wp) ::]
       end if
     end associate
   end subroutine get_scan_values
@@ -307,7 +304,7 @@ contains
     if (count(plan%problems%points > 0 .and. plan%problems%points < plan%checked_points) > 1) then
       text = to_text(plan%of_points%points)//' of '//to_text(plan%checked_points) &
         //' points of the scan cannot be simulated'
-      if (plan%of_points%more_values) text = text//'; the first of them:'
+      if (plan%of_points%more) text = text//'; the first of them:'
       call add_finding(plan%settings%problems, finding_of(0, text))
     end if
     do at = 1, size(plan%problems)

@@ -15,7 +15,7 @@ module battery_plan_checks
   use battery_text, only: to_text
   use battery_gsl, only: sort_order
   use battery_identity, only: twelve_digits
-  use battery_findings, only: finding_type, add_point_findings, reported_findings, of_missing
+  use battery_findings, only: finding_type, add_point_findings, of_missing
   use battery_outline_checks, only: check_outlines, check_outline_at, has_outline, &
     has_valid_outlines
   use battery_bounds, only: bounds_text, can_count_hits, finest, greatest_radius, &
@@ -271,7 +271,7 @@ contains
     if (allocated(engine)) engine%time_step = plan%time_step
     outlines_valid = has_valid_outlines(plan)
     call move_alloc(plan%problems, others)
-    allocate (plan%problems(0))
+    allocate (plan%problems(0), plan%of_points%list(0))
     do at = 1, plan%point_count
       point = point_of(plan, at)
       call check_point(plan, point, outlines_valid)
@@ -287,7 +287,7 @@ contains
       allocate (plan%problems(0))
     end do
     plan%checked_points = plan%point_count
-    plan%problems = [others, reported_findings(plan%of_points)]
+    plan%problems = [others, plan%of_points%list]
   end subroutine check_points
 
   !> Checks one point: lengths, times, numbers of particles.
