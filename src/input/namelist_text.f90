@@ -75,7 +75,7 @@ contains
     type(findings_type), intent(inout) :: problems
 
     do while (.not. allocated(entry%group))
-      call skip_blanks(reader, commas=allocated(reader%group))
+      call skip_blanks(reader, allocated(reader%group))
       if (allocated(reader%group)) then
         call read_in_group(reader, entry, problems)
       else if (at_end(reader)) then
@@ -158,7 +158,7 @@ contains
       call skip_line(reader)
       return
     end if
-    call skip_blanks(reader)
+    call skip_blanks(reader, .false.)
     last_index = any_index
     if (scan(next_sign(reader), '(%') == 1) call read_index(reader, last_index)
     if (next_sign(reader) /= '=') then
@@ -220,7 +220,7 @@ contains
     count = 0
     after_comma = .true.
     do
-      call skip_blanks(reader)
+      call skip_blanks(reader, .false.)
       if (at_end(reader)) exit
       select case (next_sign(reader))
       case ('/', '&')
@@ -325,14 +325,14 @@ contains
     if (scan(next_sign(reader), letters) == 0) return
     ahead%text = reader%text(reader%at:min(len(reader%text), reader%at + 1000))
     call read_before(ahead, verify(ahead%text(ahead%at:), name_signs), name)
-    call skip_blanks(ahead)
+    call skip_blanks(ahead, .false.)
     follows = next_sign(ahead) == '=' .or. next_sign(ahead) == '(' .or. next_sign(ahead) == '%'
   end function key_follows
 
   !> Skips blanks, line ends and comments, and commas if `commas`.
   pure subroutine skip_blanks(reader, commas)
     type(reader_type), intent(inout) :: reader
-    logical, intent(in), optional :: commas
+    logical, intent(in) :: commas
 
     do while (.not. at_end(reader))
       select case (next_sign(reader))
@@ -344,7 +344,7 @@ contains
       case ('!')
         call skip_line(reader)
       case (',')
-        if (.not. present(commas)) return
+        if (.not. commas) return
         reader%at = reader%at + 1
       case default
         return
