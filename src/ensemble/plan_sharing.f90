@@ -8,7 +8,7 @@ module battery_plan_sharing
   use battery_plan, only: plan_type
   use battery_settings, only: read_settings, serialize_settings
   use battery_signals, only: stop_requested, set_stop_error
-  use battery_archive, only: archive_type, new_archive, measuring_archive, archive_of
+  use battery_archive, only: archive_type, new_archive, archive_of
   implicit none (type, external)
   private
   public :: read_plan_once
@@ -35,9 +35,7 @@ contains
     call share_error(communicator, error)
     if (allocated(error) .or. communicator%size == 1) return
     if (communicator%rank == 0) then
-      archive = measuring_archive()
-      call serialize_input(plan, archive)
-      archive = new_archive(archive%length)
+      archive = new_archive()
       call serialize_input(plan, archive)
     end if
     call share_words(communicator, archive%word)

@@ -6,8 +6,7 @@ module battery_findings
   implicit none (type, external)
   private
   public :: finding_type, findings_type, point_findings_type
-  public :: finding_of, add_finding, findings_text, add_point_findings, reported_findings
-  public :: displayable_text
+  public :: finding_of, add_finding, findings_text, add_point_findings, displayable_text
 
   !> Largest number of problems that are reported one by one, and of problems of points that are
   !> stored; of the others, only the number.
@@ -16,12 +15,11 @@ module battery_findings
   !> Largest number of letters of a word of the file that a problem quotes.
   integer, parameter :: most_letters = 80
 
-  !> Severities: a problem of the text or of the plan; a remark on what is allowed.
-  integer, parameter, public :: problem = 1, remark = 2
-
-  !> Kinds, by what `value` is: the value of the key; a state of the key; the state that the key is
-  !> missing; a sentence.
-  integer, parameter, public :: of_value = 1, of_state = 2, of_missing = 3, of_sentence = 4
+  !> Kinds, by what `value` is: a sentence on the text; one on a group; the value of the key; a
+  !> state of the key; the state that the key is missing; a remark on what is allowed. Of one line
+  !> those on the text come first, and then those on groups.
+  integer, parameter, public :: of_text = 1, of_group = 2, of_value = 3, of_state = 4, &
+    of_missing = 5, of_remark = 6
 
   !> One finding. Components that it does not need are not allocated.
   type :: finding_type
@@ -30,9 +28,7 @@ module battery_findings
     !> What was found, and what is allowed instead.
     character(len=:), allocatable :: value, allowed
     character(len=:), allocatable :: group, key
-    integer :: kind = of_sentence, severity = problem
-    !> Whether the value is one of a scan.
-    logical :: scanned = .false.
+    integer :: kind = of_text
     !> Number of points of the scan that have it, the first of them and the last; 0: it is not about
     !> points.
     integer :: points = 0, first_point = 0, last_point = 0
@@ -45,13 +41,15 @@ module battery_findings
     type(finding_type), private :: first(most_reported), last
   end type findings_type
 
-  !> Findings on points: those that differ in any component, and those that differ in key or value;
-  !> of each at most `most_reported`.
+  !> Findings on points, at most `most_reported`: all that differ or, if those are more, all that
+  !> differ in key or value.
   type :: point_findings_type
-    type(finding_type), allocatable :: different(:), of_values(:)
-    !> Number of points with findings; whether there were more of each.
+    type(finding_type), allocatable :: list(:)
+    !> Whether findings that differ only in what is allowed are different.
+    logical :: exact = .true.
+    !> Number of points with findings; whether there were more of them than are listed.
     integer :: points = 0
-    logical :: more_different = .false., more_values = .false.
+    logical :: more = .false.
   end type point_findings_type
 
 contains
@@ -64,18 +62,25 @@ contains
     integer :: place, reported
 
     reported = min(findings%count, most_reported)
-    place = 1 + count(findings%first(:reported)%line <= finding%line)
+    place = 1 + count(rank_of(findings%first(:reported)) <= rank_of(finding))
     if (place <= most_reported) then
       reported = min(reported + 1, most_reported)
       findings%first(place + 1:reported) = findings%first(place:reported - 1)
       findings%first(place) = finding
     end if
-    if (finding%line >= findings%last%line) findings%last = finding
+    if (rank_of(finding) >= rank_of(findings%last)) findings%last = finding
     findings%count = findings%count + 1
   end subroutine add_finding
 
+  !> Rank of a finding among those of its file.
+  elemental integer function rank_of(finding)
+    type(finding_type), intent(in) :: finding
+
+    rank_of = of_value*finding%line + min(finding%kind, of_value)
+  end function rank_of
+
   !> A finding from its components.
-  pure type(finding_type) function finding_of(line, value, allowed, group, key, kind, severity) &
+  pure type(finding_type) function finding_of(line, value, allowed, group, key, kind) &
       result(finding)
     !> Line, from 1; 0: it concerns the whole file, or its line is not known yet.
     integer, intent(in) :: line
@@ -83,17 +88,16 @@ contains
     character(len=*), intent(in) :: value
     !> What is allowed instead; group and key.
     character(len=*), intent(in), optional :: allowed, group, key
-    !> Kind, if not `of_value` with a key and `of_sentence` without; severity, if not `problem`.
-    integer, intent(in), optional :: kind, severity
+    !> Kind, if not `of_value` with a key and `of_text` without.
+    integer, intent(in), optional :: kind
 
     finding%line = line
     finding%value = value
     if (present(allowed)) finding%allowed = allowed
     if (present(group)) finding%group = group
     if (present(key)) finding%key = key
-    finding%kind = merge(of_value, of_sentence, present(key))
+    finding%kind = merge(of_value, of_text, present(key))
     if (present(kind)) finding%kind = kind
-    if (present(severity)) finding%severity = severity
   end function finding_of
 
   !> All problems of the file `name`, one per line, in the order of its lines, those without a line
@@ -136,63 +140,55 @@ contains
 
   !> Adds the findings on one point of the scan.
   pure subroutine add_point_findings(gathered, findings, point)
-    !> Findings on the points so far.
+    !> Findings on the points so far; its list is allocated.
     type(point_findings_type), intent(inout) :: gathered
     !> Findings on the point.
     type(finding_type), intent(in) :: findings(:)
     !> Index of the point.
     integer, intent(in) :: point
+    type(finding_type) :: found
     integer :: at
 
-    if (.not. allocated(gathered%different)) &
-      allocate (gathered%different(0), gathered%of_values(0))
     if (size(findings) > 0) gathered%points = gathered%points + 1
     do at = 1, size(findings)
-      call count_finding(gathered%different, findings(at), .true., point, gathered%more_different)
-      call count_finding(gathered%of_values, findings(at), .false., point, gathered%more_values)
+      found = findings(at)
+      found%points = 1
+      found%first_point = point
+      found%last_point = point
+      call count_finding(gathered, found)
     end do
   end subroutine add_point_findings
 
-  !> Increments the number of points of a finding, or adds the finding.
-  pure subroutine count_finding(kept, finding, exactly, point, more)
-    type(finding_type), allocatable, intent(inout) :: kept(:)
+  !> Adds the points of a finding to those of one that is listed, or lists it.
+  pure recursive subroutine count_finding(gathered, finding)
+    type(point_findings_type), intent(inout) :: gathered
     type(finding_type), intent(in) :: finding
-    !> Whether findings that differ only in what is allowed are different.
-    logical, intent(in) :: exactly
-    integer, intent(in) :: point
-    !> Set if there are `most_reported` findings already.
-    logical, intent(inout) :: more
+    type(finding_type), allocatable :: before(:)
     integer :: k
 
-    do k = 1, size(kept)
-      if (kept(k)%key /= finding%key .or. kept(k)%value /= finding%value) cycle
-      if (kept(k)%allowed == finding%allowed .or. .not. exactly) exit
+    do k = 1, size(gathered%list)
+      associate (listed => gathered%list(k))
+        if (listed%key /= finding%key .or. listed%value /= finding%value .or. &
+          (listed%allowed /= finding%allowed .and. gathered%exact)) cycle
+        listed%points = listed%points + finding%points
+        listed%last_point = finding%last_point
+        return
+      end associate
     end do
-    more = more .or. k > most_reported
-    if (k > most_reported) return
-    if (k > size(kept)) then
-      kept = [kept, finding]
-      kept(k)%first_point = point
-    end if
-    kept(k)%points = kept(k)%points + 1
-    kept(k)%last_point = point
-  end subroutine count_finding
-
-  !> Findings on points to be reported: all that differ, or, if there are too many, one for each
-  !> value of a key.
-  pure function reported_findings(gathered) result(findings)
-    !> Findings on all points, from `add_point_findings`.
-    type(point_findings_type), intent(in) :: gathered
-    type(finding_type), allocatable :: findings(:)
-
-    if (.not. allocated(gathered%different)) then
-      allocate (findings(0))
-    else if (gathered%more_different) then
-      findings = gathered%of_values
+    if (k <= most_reported) then
+      gathered%list = [gathered%list, finding]
+    else if (gathered%exact) then
+      ! Too many: from now on they need only differ in key or value.
+      gathered%exact = .false.
+      before = [gathered%list, finding]
+      gathered%list = before(:0)
+      do k = 1, size(before)
+        call count_finding(gathered, before(k))
+      end do
     else
-      findings = gathered%different
+      gathered%more = .true.
     end if
-  end function reported_findings
+  end subroutine count_finding
 
   !> A word of a file made safe to print: shortened, control characters replaced by `?`.
   pure function displayable_text(word) result(shown)

@@ -57,9 +57,7 @@ contains
     !> Group and key in small letters.
     character(len=*), intent(in) :: group, name
 
-    do place = size(keys), 1, -1
-      if (keys(place)%group == group .and. keys(place)%name == name) return
-    end do
+    place = findloc(keys%group == group .and. keys%name == name, .true., dim=1)
   end function find_key
 
   !> The different names of a list, in their order, without the blanks at their ends.

@@ -1,4 +1,4 @@
-!> Splits the text of a namelist file into groups, keys and values.
+!> Reads the text of a namelist file entry by entry: groups, and keys with their values.
 !>
 !> The syntax is that of Fortran's own namelist input (comments, both quotes, lists, repeat counts,
 !> `/` or `&end`, any case), but line numbers are stored, and parsing continues after an error.
@@ -8,7 +8,7 @@ module battery_namelist_text
   use battery_findings, only: findings_type, finding_of, add_finding, displayable_text
   implicit none (type, external)
   private
-  public :: value_type, entry_type, split_namelist, written_text
+  public :: value_type, entry_type, reader_type, reader_of, read_next, written_text
 
   !> Largest number of values of one key, including repeats.
   integer, parameter, public :: most_values = 100000
@@ -35,16 +35,17 @@ module battery_namelist_text
     logical :: refused = .false.
   end type entry_type
 
-  !> Position of the reader in the text, and the entries read so far.
+  !> Position of the reader in a text.
   type :: reader_type
+    private
     character(len=:), allocatable :: text
     integer :: at = 1, line = 1
-    !> Entries; the array may be longer than their number.
-    type(entry_type), allocatable :: entries(:)
-    integer :: entry_count = 0
+    !> The group that is being read, which has not ended, and its line; not allocated outside of
+    !> groups.
+    character(len=:), allocatable :: group
+    integer :: group_line = 0
     !> Values of the key that is being read.
     type(value_type), allocatable :: values(:)
-    type(findings_type) :: problems
   end type reader_type
 
   character(len=1), parameter :: tab = achar(9), line_end = achar(10), return_sign = achar(13)
@@ -55,31 +56,44 @@ module battery_namelist_text
 
 contains
 
-  !> Splits `text` into `entries`, in their order: groups, including repeated ones, and keys with
-  !> their values; syntax errors are added to `problems`, and the rest is parsed nevertheless.
-  subroutine split_namelist(text, entries, problems)
+  !> A reader at the beginning of a text.
+  pure type(reader_type) function reader_of(text) result(reader)
+    !> Text of the whole file.
     character(len=*), intent(in) :: text
-    type(entry_type), allocatable, intent(out) :: entries(:)
-    type(findings_type), intent(out) :: problems
-    type(reader_type) :: reader
 
-    allocate (reader%entries(64), reader%values(most_values))
     reader%text = text
     reader%at = text_start(text)
-    do
-      call skip_blanks(reader)
-      if (at_end(reader)) exit
-      if (next_sign(reader) == '&') then
-        call read_group(reader)
+    allocate (reader%values(most_values))
+  end function reader_of
+
+  !> Reads the next entry: the beginning of a group, or a key with its values. Syntax errors are
+  !> added to `problems`, and what follows is parsed nevertheless.
+  subroutine read_next(reader, entry, problems)
+    type(reader_type), intent(inout) :: reader
+    !> The entry; at the end of the text its group is not allocated.
+    type(entry_type), intent(out) :: entry
+    type(findings_type), intent(inout) :: problems
+
+    do while (.not. allocated(entry%group))
+      call skip_blanks(reader, allocated(reader%group))
+      if (allocated(reader%group)) then
+        call read_in_group(reader, entry, problems)
+      else if (at_end(reader)) then
+        exit
+      else if (next_sign(reader) == '&') then
+        reader%at = reader%at + 1
+        entry%line = reader%line
+        call read_before(reader, verify(reader%text(reader%at:), name_signs), entry%group)
+        entry%group = lower_case(entry%group)
+        reader%group = entry%group
+        reader%group_line = entry%line
       else
-        call add_finding(reader%problems, finding_of(reader%line, 'text outside of any group: ' &
+        call add_finding(problems, finding_of(reader%line, 'text outside of any group: ' &
           //rest_of_line(reader)//'; a group begins with &name and ends with /'))
         call skip_line(reader)
       end if
     end do
-    entries = reader%entries(:reader%entry_count)
-    problems = reader%problems
-  end subroutine split_namelist
+  end subroutine read_next
 
   !> Text of values as written, shortened if there are many.
   pure function written_text(values) result(text)
@@ -104,69 +118,62 @@ contains
     end do
   end function written_text
 
-  !> Parses a group, from its `&` to its end.
-  subroutine read_group(reader)
+  !> Reads the end of a group, which may be missing, or a key with its values.
+  subroutine read_in_group(reader, entry, problems)
     type(reader_type), intent(inout) :: reader
-    type(entry_type) :: start
+    !> Its group is allocated if there is a key.
+    type(entry_type), intent(inout) :: entry
+    type(findings_type), intent(inout) :: problems
+    character(len=4) :: next
 
-    reader%at = reader%at + 1
-    start%line = reader%line
-    call read_before(reader, verify(reader%text(reader%at:), name_signs), start%group)
-    start%group = lower_case(start%group)
-    call add_entry(reader, start)
-    do
-      call skip_blanks(reader, commas=.true.)
-      if (at_end(reader)) exit
-      select case (next_sign(reader))
-      case ('/')
-        reader%at = reader%at + 1
-        return
-      case ('&')
-        if (index(lower_case(reader%text(reader%at:min(len(reader%text), reader%at + 3))), '&end') &
-          /= 1) exit
-        reader%at = reader%at + 4
-        return
-      case default
-        call read_entry(reader, start%group)
-      end select
-    end do
-    call add_finding(reader%problems, finding_of(start%line, &
-      'the / that ends the group is missing', group=start%group))
-  end subroutine read_group
+    next = lower_case(reader%text(reader%at:min(len(reader%text), reader%at + 3)))
+    if (next(1:1) == '/' .or. next == '&end') then
+      reader%at = reader%at + merge(1, 4, next(1:1) == '/')
+    else if (at_end(reader) .or. next(1:1) == '&') then
+      call add_finding(problems, finding_of(reader%group_line, &
+        'the / that ends the group is missing', group=reader%group))
+    else
+      call read_entry(reader, entry, problems)
+      return
+    end if
+    deallocate (reader%group)
+  end subroutine read_in_group
 
   !> Parses an entry `key = values`.
-  subroutine read_entry(reader, group)
+  subroutine read_entry(reader, entry, problems)
     type(reader_type), intent(inout) :: reader
-    character(len=*), intent(in) :: group
-    type(entry_type) :: entry
-    character(len=:), allocatable :: name
-    integer :: last_index
+    !> Does not change if there is no key, or no =.
+    type(entry_type), intent(inout) :: entry
+    type(findings_type), intent(inout) :: problems
+    character(len=:), allocatable :: key, name
+    integer :: line, last_index
 
-    entry%group = group
-    entry%line = reader%line
-    call read_before(reader, verify(reader%text(reader%at:), name_signs), entry%key)
-    entry%key = lower_case(entry%key)
-    name = '&'//displayable_text(group)//' '//displayable_text(entry%key)
-    if (entry%key == '') then
-      call add_finding(reader%problems, finding_of(reader%line, 'a key was expected at: ' &
-        //rest_of_line(reader), group=group))
+    line = reader%line
+    call read_before(reader, verify(reader%text(reader%at:), name_signs), key)
+    key = lower_case(key)
+    name = '&'//displayable_text(reader%group)//' '//displayable_text(key)
+    if (key == '') then
+      call add_finding(problems, finding_of(reader%line, 'a key was expected at: ' &
+        //rest_of_line(reader), group=reader%group))
       call skip_line(reader)
       return
     end if
-    call skip_blanks(reader)
+    call skip_blanks(reader, .false.)
     last_index = any_index
     if (scan(next_sign(reader), '(%') == 1) call read_index(reader, last_index)
     if (next_sign(reader) /= '=') then
-      call add_finding(reader%problems, finding_of(entry%line, name//': = is missing'))
+      call add_finding(problems, finding_of(line, name//': = is missing'))
       return
     end if
     reader%at = reader%at + 1
-    call read_values(reader, name, entry%values)
+    call read_values(reader, name, entry%values, problems)
     entry%refused = last_index /= any_index .and. last_index /= size(entry%values)
-    if (entry%refused) call add_finding(reader%problems, finding_of(entry%line, name &
-      //': parts of a key cannot be set', 'the whole list, '//displayable_text(entry%key) &
-      //' = 1, 2, ... or '//displayable_text(entry%key)//'(1:2) = 1, 2'))
-    call add_entry(reader, entry)
+    if (entry%refused) call add_finding(problems, finding_of(line, name &
+      //': parts of a key cannot be set', 'the whole list, '//displayable_text(key) &
+      //' = 1, 2, ... or '//displayable_text(key)//'(1:2) = 1, 2'))
+    entry%group = reader%group
+    entry%key = key
+    entry%line = line
   end subroutine read_entry
 
   !> Parses what follows the name of a key up to its =: an index from 1, as f90nml writes it, such
@@ -198,27 +205,13 @@ contains
     end if
   end subroutine read_index
 
-  !> Adds an entry to those read so far.
-  subroutine add_entry(reader, entry)
-    type(reader_type), intent(inout) :: reader
-    type(entry_type), intent(in) :: entry
-    type(entry_type), allocatable :: more(:)
-
-    if (reader%entry_count == size(reader%entries)) then
-      allocate (more(2*reader%entry_count))
-      more(:reader%entry_count) = reader%entries
-      call move_alloc(more, reader%entries)
-    end if
-    reader%entry_count = reader%entry_count + 1
-    reader%entries(reader%entry_count) = entry
-  end subroutine add_entry
-
   !> Parses the values of a key, up to the next key or the end of the group.
-  subroutine read_values(reader, name, values)
+  subroutine read_values(reader, name, values, problems)
     type(reader_type), intent(inout) :: reader
     !> Group and key.
     character(len=*), intent(in) :: name
     type(value_type), allocatable, intent(out) :: values(:)
+    type(findings_type), intent(inout) :: problems
     type(value_type) :: value
     integer :: repeats, count
     character(len=:), allocatable :: problem
@@ -227,7 +220,7 @@ contains
     count = 0
     after_comma = .true.
     do
-      call skip_blanks(reader)
+      call skip_blanks(reader, .false.)
       if (at_end(reader)) exit
       select case (next_sign(reader))
       case ('/', '&')
@@ -261,7 +254,7 @@ contains
     subroutine add_mistake(text)
       character(len=*), intent(in) :: text
 
-      call add_finding(reader%problems, finding_of(reader%line, name//': '//text))
+      call add_finding(problems, finding_of(reader%line, name//': '//text))
     end subroutine add_mistake
 
   end subroutine read_values
@@ -304,29 +297,22 @@ contains
     character(len=:), allocatable, intent(out) :: text
     character(len=:), allocatable, intent(inout) :: problem
     character(len=1) :: quote
-    character(len=:), allocatable :: letters
-    integer :: count
+    integer :: length
 
     quote = next_sign(reader)
-    reader%at = reader%at + 1
-    count = line_length(reader)
-    allocate (character(len=count) :: letters)
-    count = 0
+    text = ''
     do
-      if (at_end(reader) .or. next_sign(reader) == line_end) then
-        problem = 'the quote that ends '//quote//displayable_text(letters(:count)) &
-          //' is missing in its line'
-        exit
-      end if
-      if (next_sign(reader) == quote) then
-        reader%at = reader%at + 1
-        if (next_sign(reader) /= quote) exit
-      end if
-      count = count + 1
-      letters(count:count) = next_sign(reader)
       reader%at = reader%at + 1
+      length = index(reader%text(reader%at:reader%at + line_length(reader) - 1), quote) - 1
+      if (length < 0) exit
+      text = text//reader%text(reader%at:reader%at + length - 1)
+      reader%at = reader%at + length + 1
+      if (next_sign(reader) /= quote) return
+      text = text//quote
     end do
-    text = letters(:count)
+    text = text//reader%text(reader%at:reader%at + line_length(reader) - 1)
+    call skip_line(reader)
+    problem = 'the quote that ends '//quote//displayable_text(text)//' is missing in its line'
   end subroutine read_quoted
 
   !> Whether the next characters are a name and =, so that the values have ended.
@@ -339,14 +325,14 @@ contains
     if (scan(next_sign(reader), letters) == 0) return
     ahead%text = reader%text(reader%at:min(len(reader%text), reader%at + 1000))
     call read_before(ahead, verify(ahead%text(ahead%at:), name_signs), name)
-    call skip_blanks(ahead)
+    call skip_blanks(ahead, .false.)
     follows = next_sign(ahead) == '=' .or. next_sign(ahead) == '(' .or. next_sign(ahead) == '%'
   end function key_follows
 
   !> Skips blanks, line ends and comments, and commas if `commas`.
   pure subroutine skip_blanks(reader, commas)
     type(reader_type), intent(inout) :: reader
-    logical, intent(in), optional :: commas
+    logical, intent(in) :: commas
 
     do while (.not. at_end(reader))
       select case (next_sign(reader))
@@ -358,7 +344,7 @@ contains
       case ('!')
         call skip_line(reader)
       case (',')
-        if (.not. present(commas)) return
+        if (.not. commas) return
         reader%at = reader%at + 1
       case default
         return

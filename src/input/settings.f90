@@ -7,14 +7,15 @@ module battery_settings
   use battery_kinds, only: wp, int32, int64
   use battery_text, only: string_type, to_text, lower_case, join, closest_word
   use battery_numbers, only: read_whole, read_decimal
-  use battery_findings, only: findings_type, finding_of, add_finding
-  use battery_namelist_text, only: value_type, entry_type, split_namelist, written_text
+  use battery_findings, only: findings_type, finding_of, add_finding, of_group
+  use battery_namelist_text, only: value_type, entry_type, reader_type, reader_of, read_next, &
+    written_text
   use battery_key, only: key_type, distinct_names, find_key, allowed_text, is_beyond, whole_key, &
     real_key, text_key, logical_key, longest_text, longest_range
   implicit none (type, external)
   private
   public :: settings_type, read_settings, serialize_settings, find_setting
-  public :: get_value, get_list, get_text
+  public :: is_given, get_value, get_list, get_text
 
   !> The value of one key; the type of the key determines the component that is used.
   type :: setting_type
@@ -46,52 +47,63 @@ contains
     !> List of all keys.
     type(key_type), intent(in) :: keys(:)
     type(settings_type), intent(out) :: settings
-    type(entry_type), allocatable :: entries(:)
-    !> Place of the key probably meant by each unknown entry; 0: none is similar.
-    integer, allocatable :: meant(:)
-    integer :: at, place
+    type(reader_type) :: reader
+    type(entry_type) :: entry
+    !> Groups, and the line in which each is first; 0: none.
+    type(string_type), allocatable :: groups(:)
+    integer, allocatable :: first_line(:)
+    integer :: at
 
-    call split_namelist(text, entries, settings%problems)
-    call check_groups(keys, entries, settings%problems)
+    groups = distinct_names(keys%group)
+    allocate (first_line(size(groups)), source=0)
     allocate (settings%all(size(keys)))
     do at = 1, size(keys)
       call set_default(keys(at), settings%all(at))
     end do
-    allocate (meant(size(entries)), source=0)
-    do at = 1, size(entries)
-      if (.not. allocated(entries(at)%key)) cycle
-      place = find_key(keys, entries(at)%group, entries(at)%key)
-      if (place == 0) then
-        meant(at) = meant_key(keys, entries(at))
-        call refuse_key(keys, entries(at), meant(at), settings%problems)
-      else if (settings%all(place)%given) then
-        call refuse_entry(entries(at), 'is given again', 'once (line ' &
-          //to_text(settings%all(place)%line)//')', settings%problems)
-      else if (entries(at)%refused) then
-        meant(at) = place
+    reader = reader_of(text)
+    do
+      call read_next(reader, entry, settings%problems)
+      if (.not. allocated(entry%group)) exit
+      if (allocated(entry%key)) then
+        call use_entry(entry, settings)
       else
-        call set_from_entry(entries(at), settings%all(place), settings%problems)
+        call check_group(groups, entry, first_line, settings%problems)
       end if
     end do
     ! A misspelt key, or one with an index, counts as given and refused, so it is not reported as
     ! missing as well.
-    do at = 1, size(entries)
-      if (meant(at) == 0) cycle
-      associate (setting => settings%all(meant(at)))
-        if (setting%given) cycle
-        setting%given = .true.
-        setting%known = .false.
-        setting%line = entries(at)%line
-      end associate
-    end do
+    associate (all => settings%all)
+      where (all%line > 0 .and. .not. all%given) all%known = .false.
+      all%given = all%line > 0
+    end associate
   end subroutine read_settings
+
+  !> Sets the key that an entry names, or reports why it cannot be set. The key that it probably
+  !> means gets its line then, unless it has one.
+  subroutine use_entry(entry, settings)
+    type(entry_type), intent(in) :: entry
+    type(settings_type), intent(inout) :: settings
+    integer :: place
+
+    place = find_key(settings%all%key, entry%group, entry%key)
+    if (place == 0) then
+      place = meant_key(settings%all%key, entry)
+      call refuse_key(settings%all%key, entry, place, settings%problems)
+    else if (settings%all(place)%given) then
+      call refuse_entry(entry, 'is given again', 'once (line ' &
+        //to_text(settings%all(place)%line)//')', settings%problems)
+    else if (.not. entry%refused) then
+      call set_from_entry(entry, settings%all(place), settings%problems)
+    end if
+    if (place == 0) return
+    if (settings%all(place)%line == 0) settings%all(place)%line = entry%line
+  end subroutine use_entry
 
   !> Saves or restores the values of all keys, so that others need not parse the text.
   pure subroutine serialize_settings(settings, archive)
     !> On reading, its keys must be there, as `read_settings` leaves them after an empty text.
     type(settings_type), intent(inout) :: settings
     type(archive_type), intent(inout) :: archive
-    integer(int64), allocatable :: words(:)
     integer :: at, items
 
     do at = 1, size(settings%all)
@@ -101,9 +113,8 @@ contains
         call archive%serialize('flag', setting%flag)
         items = size(setting%integers)
         call archive%serialize('items', items)
-        words = [setting%integers, spread(0_int64, 1, max(0, items - size(setting%integers)))]
-        call archive%serialize('integers', words(:items))
-        setting%integers = words(:items)
+        if (archive%reading) setting%integers = spread(0_int64, 1, items)
+        call archive%serialize('integers', setting%integers)
         call archive%serialize_list('reals', setting%reals)
         call archive%serialize_text('text', setting%text)
         call archive%serialize_text('canonical', setting%canonical)
@@ -111,36 +122,30 @@ contains
     end do
   end subroutine serialize_settings
 
-  !> Reports unknown and repeated groups.
-  subroutine check_groups(keys, entries, problems)
-    type(key_type), intent(in) :: keys(:)
-    type(entry_type), intent(in) :: entries(:)
+  !> Reports a group that is unknown or repeated.
+  subroutine check_group(groups, entry, first_line, problems)
+    !> All groups.
+    type(string_type), intent(in) :: groups(:)
+    !> The beginning of a group.
+    type(entry_type), intent(in) :: entry
+    !> Line in which each group is first; 0: none so far.
+    integer, intent(inout) :: first_line(:)
     type(findings_type), intent(inout) :: problems
-    type(string_type), allocatable :: names(:)
-    !> Line in which each group is first; 0: none.
-    integer, allocatable :: first_line(:)
-    integer :: at, name
+    integer :: at
 
-    names = distinct_names(keys%group)
-    allocate (first_line(size(names)), source=0)
-    do at = 1, size(entries)
-      if (allocated(entries(at)%key)) cycle
-      associate (line => entries(at)%line, group => entries(at)%group)
-        do name = 1, size(names)
-          if (names(name)%text == group) exit
-        end do
-        if (name > size(names)) then
-          call add_finding(problems, finding_of(line, 'there is no such group'//suggestion('&', &
-            closest_word(group, names)), '&'//join(names, ', &'), group))
-        else if (first_line(name) > 0) then
-          call add_finding(problems, finding_of(line, 'is given again', 'once (line ' &
-            //to_text(first_line(name))//')', group))
-        else
-          first_line(name) = line
-        end if
-      end associate
+    do at = 1, size(groups)
+      if (groups(at)%text == entry%group) exit
     end do
-  end subroutine check_groups
+    if (at > size(groups)) then
+      call add_finding(problems, finding_of(entry%line, 'there is no such group'//suggestion('&', &
+        closest_word(entry%group, groups)), '&'//join(groups, ', &'), entry%group, kind=of_group))
+    else if (first_line(at) > 0) then
+      call add_finding(problems, finding_of(entry%line, 'is given again', 'once (line ' &
+        //to_text(first_line(at))//')', entry%group, kind=of_group))
+    else
+      first_line(at) = entry%line
+    end if
+  end subroutine check_group
 
   !> Place of the key that was probably meant by an unknown key: one with this name in another
   !> group, with this symbol in the paper, or with a similar name. 0: none.
@@ -404,6 +409,15 @@ contains
     place = find_key(settings%all%key, group, name)
     if (place == 0) error stop 'a key is not declared'
   end function find_setting
+
+  !> Whether a key is given, rightly or not.
+  pure logical function is_given(settings, group, name)
+    type(settings_type), intent(in) :: settings
+    !> Group and name of the key.
+    character(len=*), intent(in) :: group, name
+
+    is_given = settings%all(find_setting(settings, group, name))%given
+  end function is_given
 
   !> Gets the value of a key, of several the first.
   pure subroutine get_value(settings, group, name, value)

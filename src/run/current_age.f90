@@ -42,9 +42,8 @@ module battery_current_age
   !> Fitted numbers: the factor of (1), and the factor of the dense gate's load.
   real(dp), parameter :: steepness = 3.0_dp, dense_load = 0.85_dp
 
-  !> Relative tolerance of currents that the remark is for, and part of it that the deficit may be,
-  !> as in postproc.advise.
-  real(dp), parameter :: tolerance = 0.01_dp, allowed = 0.25_dp
+  !> Relative deficit that is allowed: a quarter of a tolerance of 1 %, as in postproc.advise.
+  real(dp), parameter :: allowed = 0.0025_dp
 
   !> Ratio of measured time to transient in the recommended run.
   real(dp), parameter :: measured = 2.0_dp
@@ -66,28 +65,27 @@ contains
     type(plan_type), intent(in) :: plan
     character(len=:), allocatable :: text
     real(dp), allocatable :: lacks(:)
-    real(dp) :: most, transient, ages(2), times
+    real(dp) :: most, transient, times
     character(len=16) :: percent
     integer :: step, worst, at
 
     text = ''
-    if (plan%shape == 'urn' .or. plan%urn_shape == 'polygon' .or. size(plan%scatterers) > 0 &
-      .or. plan%initial_file /= '') return
-    if (.not. any(exact_engines == plan%engine)) return
+    if (plan%shape == 'urn' .or. plan%urn_shape == 'polygon' .or. size(plan%scatterers) > 0 .or. &
+      plan%initial_file /= '' .or. all(plan%engine /= exact_engines)) return
     step = 1 + (plan%point_count - 1)/most_points
     lacks = [(lacking_share(circulation_at(point_of(plan, at)), ages_measured(plan, point_of(plan, &
       at))), at=1, plan%point_count, step)]
     most = maxval(lacks)
-    if (most <= allowed*tolerance) return
+    if (most <= allowed) return
     worst = 1 + step*(maxloc(lacks, dim=1) - 1)
     ! Two decimals below 1 %, else one.
     write (percent, merge('(f4.2)', '(f0.1)', 100.0_dp*most < 0.995_dp)) 100.0_dp*most
     text = 'currents lack about '//trim(percent)//' %'
     if (point_text(plan, worst, '') /= '') text = text//', most at '//point_text(plan, worst, '')
     text = text//': circulations still build up'
-    transient = transient_for(circulation_at(point_of(plan, worst)), allowed*tolerance)
-    ages = ages_measured(plan, point_of(plan, worst))
-    times = (1.0_dp + measured)*transient/max(ages(2), tiny(1.0_dp))
+    transient = transient_for(circulation_at(point_of(plan, worst)), allowed)
+    times = (1.0_dp + measured)*transient/max(tiny(1.0_dp), &
+      maxval(ages_measured(plan, point_of(plan, worst))))
     if (times > most_times) then
       text = text//', and a run that is old enough would cost more than ' &
         //to_text(nint(most_times))//' times this one; compare with theory at the age of the run'
@@ -118,25 +116,22 @@ contains
   !> Circulation at a parameter point whose urns are discs.
   pure type(circulation_type) function circulation_at(point) result(found)
     type(point_type), intent(in) :: point
-    real(dp) :: width, width2, radius, load, sparse, round_length
-    integer :: threshold
+    real(dp) :: width(2), radius(2), load, sparse, round_length
 
-    threshold = point%threshold(1)
-    width = real(point%channel(channel1)%width, dp)
-    width2 = real(point%channel(channel2)%width, dp)
-    radius = real(point%urn_radius(1), dp)
-    if (point%threshold(2) /= threshold .or. threshold < 1 .or. threshold > largest_threshold &
-      .or. abs(real(point%urn_radius(2), dp) - radius) > 0.0_dp .or. .not. width2 > 0.0_dp &
-      .or. .not. width > 0.0_dp .or. point%number < 2) return
-    ! Mean number in a gate over number in its urn: w/(pi A) entries per unit of time, each for pi
-    ! l/4.
-    load = width*real(point%channel(channel1)%length, dp)/(4.0_dp*pi*radius**2)
-    sparse = sparse_number(real(point%number, dp), threshold, width2/width, load)
-    if (sparse > 0.5_dp*(1.0_dp - polarised)*real(point%number, dp)) return
-    round_length = sqrt(4.0_dp*radius**2 - width**2) + sqrt(4.0_dp*radius**2 - width2**2) &
-      + real(point%channel(channel1)%length + point%channel(channel2)%length, dp)
-    found%growth = steepness*width2/round_length
-    found%lifetime = round_length/reversed_share(threshold, load*sparse)
+    width = real(point%channel%width, dp)
+    radius = real(point%urn_radius, dp)
+    associate (threshold => point%threshold(1), number => real(point%number, dp))
+      if (any(point%threshold /= threshold) .or. threshold < 1 .or. threshold > largest_threshold &
+        .or. any(radius < maxval(radius)) .or. .not. width(channel2) > 0.0_dp) return
+      ! Mean number in a gate over number in its urn: w/(pi A) entries per unit of time, each for pi
+      ! l/4.
+      load = width(channel1)*real(point%channel(channel1)%length, dp)/(4.0_dp*pi*radius(1)**2)
+      sparse = sparse_number(number, threshold, width(channel2)/width(channel1), load)
+      if (sparse > 0.5_dp*(1.0_dp - polarised)*number) return
+      round_length = sum(sqrt(4.0_dp*radius**2 - width**2) + real(point%channel%length, dp))
+      found%growth = steepness*width(channel2)/round_length
+      found%lifetime = round_length/reversed_share(threshold, load*sparse)
+    end associate
   end function circulation_at
 
   !> Number of particles in the sparse urn for which the current through channel 2 equals that of
@@ -148,16 +143,15 @@ contains
     real(dp), intent(in) :: widths, load
     !> It converges within some tens of steps, except near the largest load without polarisation.
     integer, parameter :: most_steps = 10000
-    real(dp) :: before, dense
+    real(dp) :: before
     integer :: step
 
     sparse = 0.0_dp
     do step = 1, most_steps
       before = sparse
-      dense = number - sparse
       ! What flows into the sparse urn over the flow out of it of each of its particles.
-      sparse = min(0.5_dp*number, dense*(widths + chance_below(threshold, dense_load*load*dense)) &
-        /(widths + chance_below(threshold, load*sparse)))
+      sparse = min(0.5_dp*number, (number - sparse)*(widths + chance_below(threshold, &
+        dense_load*load*(number - sparse)))/(widths + chance_below(threshold, load*sparse)))
       if (abs(sparse - before) <= epsilon(number)*number) exit
     end do
   end function sparse_number
@@ -184,16 +178,14 @@ contains
     !> Mean number of particles inside if the gate never reversed, above 0.
     real(dp), intent(in) :: load
     real(dp), parameter :: enough = 1.0e100_dp
-    real(dp) :: one, total
+    real(dp) :: u(0:threshold)
     integer :: n
 
-    one = 1.0_dp
-    total = 1.0_dp
+    u = 1.0_dp
     do n = 1, threshold
-      one = min(enough, 1.0_dp + real(n, dp)*one/load)
-      total = total + one
+      u(n) = min(enough, 1.0_dp + real(n, dp)*u(n - 1)/load)
     end do
-    share = real(threshold + 1, dp)/total
+    share = real(threshold + 1, dp)/sum(u)
   end function reversed_share
 
   !> Relative deficit of a current: (1) averaged over ages.
@@ -217,17 +209,14 @@ contains
     type(circulation_type), intent(in) :: circulation
     !> Greatest relative deficit allowed, above 0.
     real(dp), intent(in) :: part
-    !> Decades below the lifetime at which the search begins.
-    integer, parameter :: decades = 13
-    integer :: power, digits
+    !> Decades below the lifetime at which the search begins; numbers of two digits in a decade.
+    integer, parameter :: decades = 13, numbers = 90
+    integer :: step
 
-    power = floor(log10(circulation%lifetime)) - decades
-    do
-      do digits = 10, 99
-        transient = real(digits, dp)*10.0_dp**power
-        if (lacking_share(circulation, [1.0_dp, 1.0_dp + measured]*transient) <= part) return
-      end do
-      power = power + 1
+    do step = 0, huge(step) - 1
+      transient = real(10 + mod(step, numbers), dp)*10.0_dp**(floor(log10(circulation%lifetime)) &
+        - decades + step/numbers)
+      if (lacking_share(circulation, [1.0_dp, 1.0_dp + measured]*transient) <= part) exit
     end do
   end function transient_for
 

@@ -120,24 +120,21 @@ contains
     if (plan%initial_file == '' .or. is_pipe_or_device(plan%initial_file)) return
     call read_file(plan%initial_file, text, particle_error)
     place = ''
-    if (.not. allocated(particle_error)) then
-      point = point_of(plan, 1)
+    do at = 1, max(1, plan%point_count)
+      if (allocated(particle_error)) exit
+      point = point_of(plan, at)
       ! If the lengths themselves are wrong, there is no table to check the file with.
-      if (allocated(error) .and. .not. (point%number > 0 .and. &
-        maxval(point%channel%width) < 2.0_wp*minval(point%urn_radius) .and. &
-        plan%urn_shape == 'disc')) return
+      if (allocated(error) .and. .not. (point%number > 0 .and. maxval(point%channel%width) &
+        < 2.0_wp*minval(point%urn_radius) .and. plan%urn_shape == 'disc')) return
+      ! At further points the file is parsed only for the message.
+      if (at > 1) then
+        if (are_inside(table_of(plan, point), plan%file_particles)) cycle
+      end if
       call parse_particles(text, plan%initial_file, table_of(plan, point), max(point%number, 0), &
         plan%file_particles, particle_error)
-      do at = 2, plan%point_count
-        if (allocated(particle_error)) exit
-        point = point_of(plan, at)
-        ! Parsed again only for the message.
-        if (.not. are_inside(table_of(plan, point), plan%file_particles)) &
-          call parse_particles(text, plan%initial_file, table_of(plan, point), point%number, &
-          plan%file_particles, particle_error)
-        if (allocated(particle_error)) place = ' where '//point_text(plan, at, 'initial_file')
-      end do
-    end if
+      if (allocated(particle_error) .and. at > 1) place = ' where ' &
+        //point_text(plan, at, 'initial_file')
+    end do
     if (allocated(particle_error)) then
       message = plan%input_file//': &particles initial_file = '''//plan%initial_file &
         //''' cannot be used'//place//':'//new_line_character//particle_error%message

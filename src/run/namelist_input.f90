@@ -7,13 +7,14 @@ module battery_namelist_input
   use battery_foreign_bytes, only: namelist_problem, is_results_file
   use battery_findings, only: finding_type, finding_of, add_finding, findings_text, &
     displayable_text, of_missing
-  use battery_settings, only: settings_type, read_settings, find_setting, get_value, &
-    get_list, get_text
+  use battery_settings, only: settings_type, read_settings, find_setting, is_given, &
+    get_value, get_list, get_text
   use battery_key, only: key_type, whole_key, is_beyond, longest_range
   use battery_keys, only: all_keys, key_length
   use battery_identity, only: twelve_digits
-  use battery_plan, only: plan_type, scanned_type, points_text, complete_plan, refuse_value, &
-    refuse_key
+  use battery_plan, only: plan_type, scanned_type, points_text, refuse_value, refuse_key, &
+    is_scanned
+  use battery_plan_checks, only: complete_plan
   implicit none (type, external)
   private
   public :: parse_namelist, check_bytes, read_plan, fill_plan, set_input_error, differing_keys
@@ -69,7 +70,6 @@ contains
     allocate (plan%scanned(0), plan%problems(0))
     call fill_values(plan%settings, plan)
     call fill_points(plan%settings, plan)
-    call check_combinations(plan%settings, plan)
     call complete_plan(plan)
   end subroutine fill_plan
 
@@ -108,9 +108,7 @@ contains
     call get_value(settings, 'limits', 'checkpoint_minutes', plan%checkpoint_minutes)
   end subroutine fill_values
 
-  !> Sets the shape of the urns. If the number of coordinates is odd, no corners are set. A key that
-  !> was refused when it was parsed is refused here again, since there is no value to compute with;
-  !> it is reported once.
+  !> Sets the shape of the urns. If the number of coordinates is odd, no corners are set.
   subroutine fill_outlines(settings, plan)
     type(settings_type), intent(in) :: settings
     type(plan_type), intent(inout) :: plan
@@ -120,11 +118,8 @@ contains
 
     call get_text(settings, 'table', 'urn_shape', plan%urn_shape)
     call get_value(settings, 'table', 'urn_sides', plan%urn_sides)
-    if (is_refused(settings, 'urn_sides')) call refuse_key(plan, 'urn_sides', 'is refused', '')
     do urn = 1, 2
       call get_list(settings, 'table', trim(key(urn)), numbers)
-      if (is_refused(settings, trim(key(urn)))) call refuse_key(plan, trim(key(urn)), &
-        'is refused', '')
       if (size(numbers) == 0) cycle
       if (modulo(size(numbers), 2) /= 0 .and. plan%urn_shape /= 'disc') then
         call refuse_key(plan, trim(key(urn)), 'has '//to_text(size(numbers))//' numbers', &
@@ -132,21 +127,10 @@ contains
         cycle
       end if
       plan%outline(urn)%corner = reshape(numbers, [2, size(numbers)/2])
-      if (settings%all(find_setting(settings, 'table', 'urn_radius'))%given) call &
-        refuse_key(plan, 'urn_radius', 'is given beside '//trim(key(urn)), 'one of the two')
+      if (is_given(settings, 'table', 'urn_radius')) call refuse_key(plan, 'urn_radius', &
+        'is given beside '//trim(key(urn)), 'one of the two')
     end do
   end subroutine fill_outlines
-
-  !> Whether a key of &table was refused when it was parsed.
-  logical function is_refused(settings, key)
-    type(settings_type), intent(in) :: settings
-    !> Name of the key, in small letters.
-    character(len=*), intent(in) :: key
-
-    associate (setting => settings%all(find_setting(settings, 'table', key)))
-      is_refused = setting%given .and. .not. setting%known
-    end associate
-  end function is_refused
 
   !> Sets the keys that a scan can vary, in their order: their values, and the lists of the scan,
   !> each given as a list or as a range. A list for gate 2 or urn 2 forms pairs with the list before
@@ -222,15 +206,12 @@ contains
         if (any(is_beyond(list%key, values))) then
           call refuse_value(plan, trim(range%key%name), to_text(maxval(values)), &
             'numbers up to '//to_text(list%key%greatest))
+          values = values(:0)
         else if (allowed /= '') then
           call refuse_value(plan, trim(range%key%name), numbers_text(range%reals, ', '), allowed)
           ! The key is scanned all the same, and not missing.
           values = values(:1)
-          return
-        else
-          return
         end if
-        values = [real(wp) ::]
       end if
     end associate
   end subroutine get_scan_values
@@ -282,22 +263,6 @@ contains
       first + anint((last - first)/steps)*steps, range(3)], ', ')
   end function whole_ranges
 
-  !> Checks keys that exclude or require each other: a run has one length, in collisions or in time;
-  !> a limit of the replicas requires a precision.
-  subroutine check_combinations(settings, plan)
-    type(settings_type), intent(in) :: settings
-    type(plan_type), intent(inout) :: plan
-
-    if (settings%all(find_setting(settings, 'precision', 'largest_replicas'))%given .and. &
-      .not. any(plan%precision > 0.0_wp)) call refuse_key(plan, 'largest_replicas', &
-      'is given without a precision', 'beside chi_replica_error or polarised_current_replica_error')
-    if (.not. plan%duration > 0.0_wp) return
-    if (settings%all(find_setting(settings, 'run', 'collisions'))%given) &
-      call refuse_key(plan, 'collisions', 'is given beside duration', 'one of the two')
-    if (settings%all(find_setting(settings, 'run', 'transient_collisions'))%given) call &
-      refuse_key(plan, 'transient_collisions', 'is given beside duration', 'transient_duration')
-  end subroutine check_combinations
-
   !> Adds a problem of the plan to the settings, at the line of its key.
   subroutine add_problem(plan, problem)
     type(plan_type), intent(inout) :: plan
@@ -308,7 +273,8 @@ contains
 
     associate (all => plan%settings%all)
       ! A key comes before its list in &scan, and a list before its range.
-      place = findloc(all%key%name == problem%key, .true., dim=1, back=problem%scanned)
+      place = findloc(all%key%name == problem%key, .true., dim=1, &
+        back=is_scanned(plan, problem%key))
       next = min(place + 1, size(all))
       if (all(next)%key%is_range .and. all(next)%given .and. .not. all(place)%given) place = next
       ! A key that was refused already is neither refused again nor reported as missing, also if it
@@ -338,7 +304,7 @@ contains
     if (count(plan%problems%points > 0 .and. plan%problems%points < plan%checked_points) > 1) then
       text = to_text(plan%of_points%points)//' of '//to_text(plan%checked_points) &
         //' points of the scan cannot be simulated'
-      if (plan%of_points%more_values) text = text//'; the first of them:'
+      if (plan%of_points%more) text = text//'; the first of them:'
       call add_finding(plan%settings%problems, finding_of(0, text))
     end if
     do at = 1, size(plan%problems)

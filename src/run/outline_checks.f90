@@ -27,13 +27,17 @@ contains
     has_outline = allocated(plan%outline(1)%corner) .or. allocated(plan%outline(2)%corner)
   end function has_outline
 
-  !> Whether the outlines of the urns, if they are polygons, have no problem.
+  !> Whether the outlines of the urns, if they are polygons, have no problem: neither one of the
+  !> plan, nor values that were refused when they were parsed.
   pure function has_valid_outlines(plan)
     type(plan_type), intent(in) :: plan
     logical :: has_valid_outlines
     integer :: at
 
-    has_valid_outlines = .true.
+    associate (all => plan%settings%all)
+      has_valid_outlines = .not. any(all%given .and. .not. all%known .and. (all%key%name &
+        == 'urn_sides' .or. all%key%name == key_of(1) .or. all%key%name == key_of(2)))
+    end associate
     do at = 1, size(plan%problems)
       if (index(plan%problems(at)%key, 'urn_') == 1 .or. index(plan%problems(at)%key, 'urn2_') &
         == 1) has_valid_outlines = .false.
@@ -215,7 +219,7 @@ contains
     real(wp) :: widest
     integer :: urn, channel, side, n
 
-    if (plan%urn_shape /= 'polygon' .or. .not. has_valid_outlines(plan)) return
+    if (plan%urn_shape /= 'polygon') return
     do urn = 1, merge(1, 2, plan%shape == 'urn')
       key = trim(key_of(urn))
       if (urn == 2 .and. .not. urns_differ(plan, point)) cycle

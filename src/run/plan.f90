@@ -16,23 +16,20 @@ module battery_plan
   use battery_engine, only: particles_type
   use battery_simulation, only: run_type, setup_type
   use battery_identity, only: identity_of
-  use battery_findings, only: finding_type, point_findings_type, finding_of, remark, of_value, &
-    of_state
+  use battery_findings, only: finding_type, point_findings_type, finding_of, of_state, &
+    of_remark
   use battery_keys, only: scannable, key_threshold, key_threshold_fraction, key_number, key_width, &
     key_length, key_radius, key_urn1_fraction
   use battery_settings, only: settings_type
   use battery_text, only: to_text
   implicit none (type, external)
   private
-  public :: plan_type, point_type, scanned_type, complete_plan, refuse_value, refuse_key
+  public :: plan_type, point_type, scanned_type, refuse_value, refuse_key
   public :: corners_of
   public :: point_of, point_text, points_text, table_of, setup_of, is_scanned, values_of, rounded
 
   !> Value of whole numbers and shares that were not given.
-  integer, parameter :: not_given = -1
-
-  !> Largest number of tasks: points times replicas.
-  integer(int64), parameter :: most_tasks = 10000000_int64
+  integer, parameter, public :: not_given = -1
 
   !> The values of a key that a scan can vary: two, of urn 1 and urn 2 or of their gates, which are
   !> equal if the key has one. The kind of the key determines the component that is used.
@@ -115,40 +112,26 @@ module battery_plan
     integer(int64) :: initial_fingerprint = 0
   end type plan_type
 
-  interface
-    !> Checks that the parts of a plan fit together and counts the points (`plan_checks.f90`). Adds
-    !> all problems to the plan: of each list the first value that repeats a point; a problem of
-    !> points of the scan once, with the number of points that have it.
-    module subroutine complete_plan(plan)
-      implicit none (type, external)
-      type(plan_type), intent(inout) :: plan
-    end subroutine complete_plan
-  end interface
-
 contains
 
-  !> Adds a problem to a plan: a value that is not allowed.
-  pure subroutine refuse_value(plan, key, value, allowed)
+  !> Adds a problem to a plan: a value that is not allowed, or what `kind` says.
+  pure subroutine refuse_value(plan, key, value, allowed, kind)
     type(plan_type), intent(inout) :: plan
     !> Name of the key, its value, and what is allowed instead.
     character(len=*), intent(in) :: key, value, allowed
+    !> Kind of the finding, if not `of_value`.
+    integer, intent(in), optional :: kind
 
-    call refuse_key(plan, key, value, allowed, of_value)
+    plan%problems = [plan%problems, finding_of(0, value, allowed, key=key, kind=kind)]
   end subroutine refuse_value
 
-  !> Adds a problem to a plan: a key that is missing, or that must not be given.
-  pure subroutine refuse_key(plan, key, state, allowed, kind)
+  !> Adds a problem to a plan: a key in a state that is not allowed.
+  pure subroutine refuse_key(plan, key, state, allowed)
     type(plan_type), intent(inout) :: plan
-    !> Name of the key, its state, such as `is missing`, and what is allowed instead.
+    !> Name of the key, its state, such as `is scanned`, and what is allowed instead.
     character(len=*), intent(in) :: key, state, allowed
-    !> Kind of the finding, if not `of_state`.
-    integer, intent(in), optional :: kind
-    type(finding_type) :: finding
 
-    finding = finding_of(0, state, allowed, key=key, kind=of_state)
-    if (present(kind)) finding%kind = kind
-    finding%scanned = is_scanned(plan, key)
-    plan%problems = [plan%problems, finding]
+    call refuse_value(plan, key, state, allowed, of_state)
   end subroutine refuse_key
 
   !> Whether a key is scanned.
@@ -261,11 +244,11 @@ contains
     text = ' ('//to_text(finding%points)//' of '//to_text(plan%checked_points)//' points'
     first = point_text(plan, finding%first_point, finding%key)
     ! Where only the key itself is scanned, its value has been told.
-    if (first /= '' .and. finding%points == 1 .and. finding%severity /= remark) then
+    if (first /= '' .and. finding%points == 1 .and. finding%kind /= of_remark) then
       text = text//': '//first
     else if (first /= '') then
       text = text//', the first: '//first
-      if (finding%severity /= remark) text = text//', the last: '//point_text(plan, &
+      if (finding%kind /= of_remark) text = text//', the last: '//point_text(plan, &
         finding%last_point, finding%key)
     end if
     text = text//')'

@@ -1,25 +1,39 @@
 !> Checks that the parts of a plan fit together.
-submodule (battery_plan) battery_plan_checks
+module battery_plan_checks
   use, intrinsic :: iso_c_binding, only: c_size_t
-  use battery_kinds, only: dp
+  use battery_kinds, only: wp, dp, int64
   use battery_error, only: error_type
   use battery_engine, only: engine_type
   use battery_engines, only: new_engine, has_step, explain_refusal
-  use battery_scatterer_checks, only: scatterer_problems
-  use battery_table, only: longest_run
+  use battery_keys, only: key_threshold, key_threshold_fraction, key_number, key_width, &
+    key_urn1_fraction
+  use battery_plan, only: plan_type, point_type, refuse_value, refuse_key, is_scanned, values_of, &
+    point_of, table_of, rounded, not_given
+  use battery_scatterer_checks, only: check_scatterers
+  use battery_settings, only: is_given
+  use battery_table, only: channel1, channel2, longest_run
+  use battery_text, only: to_text
   use battery_gsl, only: sort_order
   use battery_identity, only: twelve_digits
-  use battery_findings, only: add_point_findings, reported_findings, of_missing
+  use battery_findings, only: finding_type, add_point_findings, of_missing
   use battery_outline_checks, only: check_outlines, check_outline_at, has_outline, &
     has_valid_outlines
   use battery_bounds, only: bounds_text, can_count_hits, finest, greatest_radius, &
     of_powers, of_lengths, of_widths, of_times, of_clocks
   implicit none (type, external)
+  private
+  public :: complete_plan
+
+  !> Largest number of tasks: points times replicas.
+  integer(int64), parameter :: most_tasks = 10000000_int64
 
 contains
 
-  !> Fills in what follows from other keys, and checks the whole plan, each point of its scan too.
-  module procedure complete_plan
+  !> Fills in what follows from other keys, checks that the parts of a plan fit together, and counts
+  !> the points. Adds all problems to the plan: of each list the first value that repeats a point; a
+  !> problem of points of the scan once, with the number of points that have it.
+  subroutine complete_plan(plan)
+    type(plan_type), intent(inout) :: plan
     integer :: before
 
     before = size(plan%problems)
@@ -40,20 +54,30 @@ contains
       call check_points(plan)
     end if
     if (size(plan%problems) > before) plan%point_count = 0
-  end procedure complete_plan
+  end subroutine complete_plan
 
-  !> Checks that required keys are given, and no two keys that exclude each other.
+  !> Checks that required keys are given, and no two keys that exclude each other: a run has one
+  !> length, in collisions or in time; a limit of the replicas requires a precision.
   subroutine check_given(plan)
     type(plan_type), intent(inout) :: plan
     logical :: as_number, as_second, as_fraction
 
+    if (is_given(plan%settings, 'precision', 'largest_replicas') .and. &
+      .not. any(plan%precision > 0.0_wp)) call refuse_key(plan, 'largest_replicas', &
+      'is given without a precision', 'beside chi_replica_error or polarised_current_replica_error')
+    if (plan%duration > 0.0_wp) then
+      if (is_given(plan%settings, 'run', 'collisions')) call refuse_key(plan, 'collisions', &
+        'is given beside duration', 'one of the two')
+      if (is_given(plan%settings, 'run', 'transient_collisions')) call refuse_key(plan, &
+        'transient_collisions', 'is given beside duration', 'transient_duration')
+    end if
     associate (base => plan%base%of)
       if (.not. (base(key_number)%known .or. is_scanned(plan, 'number'))) &
-        call refuse_key(plan, 'number', 'is missing', 'one whole number from 1 up', of_missing)
+        call refuse_value(plan, 'number', 'is missing', 'one whole number from 1 up', of_missing)
       as_number = base(key_threshold)%known .or. is_scanned(plan, 'threshold')
       as_second = is_scanned(plan, 'threshold2')
       as_fraction = base(key_threshold_fraction)%known .or. is_scanned(plan, 'threshold_fraction')
-      if (.not. (as_number .or. as_fraction)) call refuse_key(plan, 'threshold', 'is missing', &
+      if (.not. (as_number .or. as_fraction)) call refuse_value(plan, 'threshold', 'is missing', &
         'one whole number or two from 0 up, or threshold_fraction, or a list of either in &scan', &
         of_missing)
       if ((as_number .or. as_second) .and. as_fraction) call refuse_key(plan, &
@@ -108,7 +132,7 @@ contains
         'below collisions, which is '//to_text(plan%collisions))
     end if
     if (has_step(plan%engine) .and. .not. plan%time_step > 0.0_wp) &
-      call refuse_key(plan, 'time_step', 'is missing', &
+      call refuse_value(plan, 'time_step', 'is missing', &
       'one number above 0, since the engine is '''//plan%engine//'''', of_missing)
   end subroutine check_length
 
@@ -247,11 +271,11 @@ contains
     if (allocated(engine)) engine%time_step = plan%time_step
     outlines_valid = has_valid_outlines(plan)
     call move_alloc(plan%problems, others)
-    allocate (plan%problems(0))
+    allocate (plan%problems(0), plan%of_points%list(0))
     do at = 1, plan%point_count
       point = point_of(plan, at)
       call check_point(plan, point, outlines_valid)
-      if (size(others) + size(plan%problems) == 0) then
+      if (outlines_valid .and. size(others) + size(plan%problems) == 0) then
         call explain_refusal(engine, table_of(plan, point), reason, allowed)
         if (reason /= '') &
           call refuse_value(plan, 'engine', ''''//plan%engine//''' '//reason, allowed)
@@ -263,7 +287,7 @@ contains
       allocate (plan%problems(0))
     end do
     plan%checked_points = plan%point_count
-    plan%problems = [others, reported_findings(plan%of_points)]
+    plan%problems = [others, plan%of_points%list]
   end subroutine check_points
 
   !> Checks one point: lengths, times, numbers of particles.
@@ -283,8 +307,7 @@ contains
     if (outlines_valid .and. size(plan%problems) == before) call check_outline_at(plan, point)
     if (size(plan%problems) == before) call check_times(plan, radii(1), max(radii(2), &
       longest))
-    if (point%number == 0 .or. size(plan%problems) > before) return
-    if (.not. (outlines_valid .and. has_valid_outlines(plan))) return
+    if (point%number == 0 .or. size(plan%problems) > before .or. .not. outlines_valid) return
     if (.not. plan%duration > 0.0_wp .and. plan%transient_collisions > 0 .and. &
       plan%transient_collisions < plan%collisions .and. plan%collisions <= point%number) &
       call refuse_value(plan, 'collisions', to_text(plan%collisions), 'above number, which is ' &
@@ -302,42 +325,15 @@ contains
       'fewer, or wider openings: such visits have more wall collisions than can be counted')
   end subroutine check_point
 
-  !> Checks that the scatterers fit into channel 2 of a point.
-  subroutine check_scatterers(plan, point)
-    type(plan_type), intent(inout) :: plan
-    type(point_type), intent(in) :: point
-    character(len=:), allocatable :: where
-    integer :: at
-
-    if (size(plan%scatterers) == 0) return
-    if (plan%shape == 'urn') then
-      call refuse_key(plan, 'scatterers', 'is given', &
-        'nothing, since the shape ''urn'' has no channel 2')
-      return
-    end if
-    where = ''
-    associate (channel => point%channel(channel2))
-      if (is_scanned(plan, 'channel2_width')) where = ', at channel2_width = ' &
-        //to_text(channel%width)
-      if (is_scanned(plan, 'channel2_length')) where = where//', at channel2_length = ' &
-        //to_text(channel%length)
-      associate (wrong => scatterer_problems(plan%scatterers, channel, &
-        finest*max(maxval(point%urn_radius), point%channel(channel1)%length, channel%length)))
-        do at = 1, size(wrong)
-          call refuse_key(plan, wrong(at)%key, wrong(at)%value, wrong(at)%allowed//where)
-        end do
-      end associate
-    end associate
-  end subroutine check_scatterers
-
   !> Checks that openings fit into the urns, and that no length is too small relative to another.
   subroutine check_lengths(plan, point, radii, longest)
     type(plan_type), intent(inout) :: plan
     type(point_type), intent(in) :: point
     !> Least and greatest radius; length of the longest open channel.
     real(wp), intent(in) :: radii(2), longest
+    character(len=*), parameter :: width_keys(2) = ['channel1_width', 'channel2_width']
     character(len=12) :: size_key
-    integer :: before
+    integer :: before, k
 
     before = size(plan%problems)
     size_key = merge('urn_vertices', 'urn_radius  ', has_outline(plan))
@@ -350,8 +346,18 @@ contains
       point%channel(channel2)%length, point%channel(channel1)%length)
     ! Relative to a length that is not allowed, no other can be checked.
     if (size(plan%problems) > before) return
-    call check_width('channel1_width', point%channel(channel1)%width)
-    call check_width('channel2_width', point%channel(channel2)%width)
+    ! Close to the diameter, the remaining arcs and area lose their digits as well.
+    do k = channel1, channel2
+      associate (key => width_keys(k), width => point%channel(k)%width)
+        if (width >= 2.0_wp*radii(1)) then
+          call refuse_value(plan, key, to_text(width), &
+            'below 2 urn_radius, which is '//to_text(2.0_wp*radii(1)))
+        else if (width > 0.0_wp) then
+          call check_range(plan, key, width, finest*max(radii(2), longest), &
+            (2.0_wp - finest)*radii(1), of_widths)
+        end if
+      end associate
+    end do
 
   contains
 
@@ -363,20 +369,6 @@ contains
       call check_range(plan, key, length, finest*max(radii(1), other), radii(1)/finest, of_lengths)
     end subroutine check_beside
 
-    !> Checks a width: close to the diameter, the remaining arcs and area lose their digits as well.
-    subroutine check_width(key, width)
-      character(len=*), intent(in) :: key
-      real(wp), intent(in) :: width
-
-      if (width >= 2.0_wp*radii(1)) then
-        call refuse_value(plan, key, to_text(width), &
-          'below 2 urn_radius, which is '//to_text(2.0_wp*radii(1)))
-      else if (width > 0.0_wp) then
-        call check_range(plan, key, width, finest*max(radii(2), longest), &
-          (2.0_wp - finest)*radii(1), of_widths)
-      end if
-    end subroutine check_width
-
   end subroutine check_lengths
 
   !> Checks that the clock resolves the lengths of the table, and that no time is too small relative
@@ -385,25 +377,20 @@ contains
     type(plan_type), intent(inout) :: plan
     !> The least radius, and the longest length of the table.
     real(wp), intent(in) :: radius, longest
+    character(len=*), parameter :: keys(3) = [character(len=15) :: 'duration', 'series_interval', &
+      'time_step']
+    !> Times of these keys; 0: not given.
+    real(wp) :: times(3)
+    integer :: k
 
-    call check_time('duration', plan%duration)
-    call check_time('series_interval', plan%series_interval)
-    call check_time('time_step', plan%time_step)
+    times = [plan%duration, plan%series_interval, plan%time_step]
+    do k = 1, size(times)
+      if (times(k) > 0.0_wp) call check_range(plan, trim(keys(k)), times(k), finest*longest, &
+        longest_run*radius, of_times)
+    end do
     call check_range(plan, 'start_time', plan%start_time, 0.0_wp, longest_run*radius, of_clocks)
     if (size(plan%snapshot_times) > 0) call check_range(plan, 'snapshot_times', &
       maxval(plan%snapshot_times), 0.0_wp, longest_run*radius, of_clocks)
-
-  contains
-
-    !> Checks a duration; 0: it is not given.
-    subroutine check_time(key, time)
-      character(len=*), intent(in) :: key
-      real(wp), intent(in) :: time
-
-      if (time > 0.0_wp) call check_range(plan, key, time, finest*longest, longest_run*radius, &
-        of_times)
-    end subroutine check_time
-
   end subroutine check_times
 
   !> Refuses a value outside its bounds.
@@ -425,4 +412,4 @@ contains
     length = merge(point%channel(channel2)%length, 0.0_wp, point%channel(channel2)%width > 0.0_wp)
   end function open_length
 
-end submodule battery_plan_checks
+end module battery_plan_checks

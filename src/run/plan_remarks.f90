@@ -4,17 +4,13 @@ module battery_plan_remarks
   use battery_current_age, only: current_remark
   use battery_keys, only: key_radius
   use battery_kinds, only: wp
-  use battery_findings, only: finding_type, finding_of, remark
+  use battery_findings, only: finding_type, finding_of, of_remark
   use battery_plan, only: plan_type, point_type, point_of, points_text
   use battery_table, only: channel2
   use battery_text, only: string_type, to_text, join
   implicit none (type, external)
   private
   public :: remarks_of
-
-  !> Conditions that are tested at a point. A gate reverses when it counts more than T particles, so
-  !> never if T >= N.
-  integer, parameter :: no_gate = 1, not_gate_1 = 2, not_gate_2 = 3, shut = 4
 
 contains
 
@@ -23,30 +19,38 @@ contains
     type(plan_type), intent(in) :: plan
     type(string_type), allocatable :: remarks(:)
     type(point_type) :: point
+    type(finding_type) :: finding
+    type(string_type) :: sentences(4), on_currents, radii(2)
+    !> Whether each gate never reverses: it does when it counts more than T particles.
     logical :: never(2)
-    !> Number of points that satisfy each condition, and the first of them.
-    integer :: points(shut), first(shut)
-    type(string_type) :: on_currents, radii(2)
-    integer :: at
+    !> Whether each sentence holds at a point; number of points where it does, and the first.
+    logical :: holds(4)
+    integer :: points(4), first(4), at
 
     points = 0
-    first = 0
     do at = 1, plan%point_count
       point = point_of(plan, at)
       never = point%threshold >= point%number
       if (plan%shape == 'urn') never(2) = never(1)
-      call count_point(no_gate, all(never))
-      call count_point(not_gate_1, never(1) .and. .not. never(2))
-      call count_point(not_gate_2, never(2) .and. .not. never(1))
-      call count_point(shut, shutting_disc(plan, point) > 0)
+      holds = [all(never), never(1) .and. .not. never(2), never(2) .and. .not. never(1), &
+        shutting_disc(plan, point) > 0]
+      where (holds .and. points == 0) first = at
+      where (holds) points = points + 1
     end do
+    sentences(1)%text = trim(merge('the gate never reverses   ', 'neither gate ever reverses', &
+      plan%shape == 'urn'))//', for T is not below N'
+    sentences(2)%text = 'gate 1 never reverses, for its T is not below N'
+    sentences(3)%text = 'gate 2 never reverses, for its T is not below N'
+    if (points(4) > 0) sentences(4)%text = 'disc '//to_text(shutting_disc(plan, point_of(plan, &
+      first(4))))//' of scatterers reaches from wall to wall: no particle passes channel 2'
     allocate (remarks(0))
-    call add(no_gate, trim(merge('the gate never reverses   ', 'neither gate ever reverses', &
-      plan%shape == 'urn'))//', for T is not below N')
-    call add(not_gate_1, 'gate 1 never reverses, for its T is not below N')
-    call add(not_gate_2, 'gate 2 never reverses, for its T is not below N')
-    if (points(shut) > 0) call add(shut, 'disc '//to_text(shutting_disc(plan, point_of(plan, &
-      first(shut))))//' of scatterers reaches from wall to wall: no particle passes channel 2')
+    do at = 1, size(sentences)
+      if (points(at) == 0) cycle
+      finding = finding_of(0, sentences(at)%text, key='', kind=of_remark)
+      finding%points = points(at)
+      finding%first_point = first(at)
+      remarks = [remarks, string_type(finding%value//points_text(plan, finding))]
+    end do
     ! A decimal comma separates two numbers.
     do at = 1, 2
       radii(at)%text = to_text(plan%base%of(key_radius)%real(at))
@@ -56,32 +60,6 @@ contains
       //' of urn 1, '//radii(2)%text//' of urn 2')]
     on_currents%text = current_remark(plan)
     if (on_currents%text /= '') remarks = [remarks, on_currents]
-
-  contains
-
-    !> Counts the present point of the scan for remark number `what`, if `is_so` holds there.
-    subroutine count_point(what, is_so)
-      integer, intent(in) :: what
-      logical, intent(in) :: is_so
-
-      if (.not. is_so) return
-      if (points(what) == 0) first(what) = at
-      points(what) = points(what) + 1
-    end subroutine count_point
-
-    !> Adds remark number `what` to the list, if it holds at any point of the scan.
-    subroutine add(what, sentence)
-      integer, intent(in) :: what
-      character(len=*), intent(in) :: sentence
-      type(finding_type) :: finding
-
-      if (points(what) == 0) return
-      finding = finding_of(0, sentence, key='', severity=remark)
-      finding%points = points(what)
-      finding%first_point = first(what)
-      remarks = [remarks, string_type(sentence//points_text(plan, finding))]
-    end subroutine add
-
   end function remarks_of
 
   !> The first disc that reaches from wall to wall of channel 2; 0: none. Discs do not touch each

@@ -7,40 +7,46 @@
 module battery_scatterer_checks
   use battery_kinds, only: wp
   use battery_text, only: to_text, numbers_text
-  use battery_channel, only: channel_type
-  use battery_findings, only: finding_type, finding_of, of_state
+  use battery_bounds, only: finest
+  use battery_plan, only: plan_type, point_type, refuse_key, is_scanned
+  use battery_table, only: channel2
   implicit none (type, external)
   private
-  public :: scatterer_problems
+  public :: check_scatterers
 
 contains
 
-  !> All problems of the scatterers.
-  function scatterer_problems(values, channel, least) result(problems)
-    !> z, y, radius of each disc in turn.
-    real(wp), intent(in) :: values(:)
-    !> Channel 2.
-    type(channel_type), intent(in) :: channel
+  !> Checks that the scatterers fit into channel 2 of a point; adds what is wrong to the problems of
+  !> the plan.
+  subroutine check_scatterers(plan, point)
+    type(plan_type), intent(inout) :: plan
+    type(point_type), intent(in) :: point
     !> Least radius, and least gap.
-    real(wp), intent(in) :: least
-    type(finding_type), allocatable :: problems(:)
+    real(wp) :: least
     real(wp) :: half_length, half_width
     character(len=:), allocatable :: gap
     integer :: k, count, other
 
-    allocate (problems(0))
-    count = size(values)/3
-    if (size(values) /= 3*count) call add('is wrong: has '//to_text(size(values))//' values', &
-      'three for each disc: z, y, radius')
-    if (.not. channel%width > 0.0_wp) then
+    if (size(plan%scatterers) == 0) return
+    if (plan%shape == 'urn') then
+      call refuse_key(plan, 'scatterers', 'is given', &
+        'nothing, since the shape ''urn'' has no channel 2')
+      return
+    end if
+    count = size(plan%scatterers)/3
+    if (size(plan%scatterers) /= 3*count) call add('is wrong: has ' &
+      //to_text(size(plan%scatterers))//' values', 'three for each disc: z, y, radius')
+    half_length = 0.5_wp*point%channel(channel2)%length
+    half_width = 0.5_wp*point%channel(channel2)%width
+    if (.not. half_width > 0.0_wp) then
       call add('is given where channel 2 is closed', 'nothing, or a channel2_width above 0')
       return
     end if
-    half_length = 0.5_wp*channel%length
-    half_width = 0.5_wp*channel%width
+    least = finest*max(maxval(point%urn_radius), maxval(point%channel%length))
     gap = ', by '//to_text(least)//' or more'
     do k = 1, count
-      associate (z => values(3*k - 2), y => values(3*k - 1), radius => values(3*k))
+      associate (values => plan%scatterers, z => plan%scatterers(3*k - 2), &
+        y => plan%scatterers(3*k - 1), radius => plan%scatterers(3*k))
         if (.not. radius >= least) then
           call add(' is too small', 'a radius from '//to_text(least)//' up', k)
         else if (.not. abs(y) - radius <= half_width - least) then
@@ -73,16 +79,20 @@ contains
       reach = sqrt((radius - beyond)*(radius + beyond))
     end function reach_of
 
-    !> Adds a problem, of one disc if its index is given.
+    !> Adds a problem, of one disc if its index is given, with the channel if that is scanned.
     subroutine add(state, allowed, disc)
       character(len=*), intent(in) :: state, allowed
       integer, intent(in), optional :: disc
-      character(len=:), allocatable :: all
+      character(len=:), allocatable :: all, where
 
       all = state
       if (present(disc)) all = 'is wrong: '//place(disc)//state
-      problems = [problems, finding_of(0, all, allowed, key='scatterers', &
-        kind=of_state)]
+      where = ''
+      if (is_scanned(plan, 'channel2_width')) where = ', at channel2_width = ' &
+        //to_text(point%channel(channel2)%width)
+      if (is_scanned(plan, 'channel2_length')) where = where//', at channel2_length = ' &
+        //to_text(point%channel(channel2)%length)
+      call refuse_key(plan, 'scatterers', all, allowed//where)
     end subroutine add
 
     !> Text for a disc: its index and its numbers.
@@ -91,9 +101,9 @@ contains
       character(len=:), allocatable :: text
 
       text = 'disc '//to_text(k)//' (values '//to_text(3*k - 2)//' to '//to_text(3*k)//': ' &
-        //numbers_text(values(3*k - 2:3*k), ', ')//')'
+        //numbers_text(plan%scatterers(3*k - 2:3*k), ', ')//')'
     end function place
 
-  end function scatterer_problems
+  end subroutine check_scatterers
 
 end module battery_scatterer_checks
