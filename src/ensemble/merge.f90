@@ -121,18 +121,23 @@ contains
     call publish_results(name, file, error)
   end subroutine write_results_of
 
-  !> Opens all rank files, so that what is in them now can be read even if a run that is going on
-  !> ends and removes them.
-  subroutine open_sources(sources, error)
+  !> Finds the rank files. Those of a run that may be going on are all opened, and held open, so
+  !> that what is in them now can be read even if the run ends and removes them.
+  subroutine open_sources(sources, hold, error)
     !> Sources with a journal from `find_journal`, to be closed with `close_sources`.
     type(sources_type), intent(inout) :: sources
+    !> Whether to hold the files open; else they are opened one by one.
+    logical, intent(in) :: hold
     !> They are more than this process may open.
     type(error_type), allocatable, intent(out) :: error
     !> Other files that may be open at the same time.
     integer(int64), parameter :: others = 64
     integer :: k
 
-    call list_rank_files(sources)
+    sources%number = rank_files_of(sources%journal_type)
+    sources%reader = spread(record_reader_type(), 1, size(sources%number))
+    sources%are_held = hold
+    if (.not. hold) return
     if (may_open(size(sources%number) + others) == 0) then
       call fatal_error(error, sources%folder//': has '//to_text(size(sources%number)) &
         //' files to be open at the same time, more than this process may open (ulimit -Hn)')
@@ -141,16 +146,7 @@ contains
     do k = 1, size(sources%number)
       call open_rank_file(sources, k)
     end do
-    sources%are_held = .true.
   end subroutine open_sources
-
-  !> Lists the rank files, which are not open yet.
-  subroutine list_rank_files(sources)
-    type(sources_type), intent(inout) :: sources
-
-    sources%number = rank_files_of(sources%journal_type)
-    sources%reader = spread(record_reader_type(), 1, size(sources%number))
-  end subroutine list_rank_files
 
   !> Closes the old results file and the rank files that are held open.
   subroutine close_sources(sources)
@@ -164,13 +160,12 @@ contains
     end do
   end subroutine close_sources
 
-  !> Opens a rank file, by its index in the list, unless it is held open.
+  !> Opens a rank file, by its index in the list, unless it is open.
   subroutine open_rank_file(sources, k)
     type(sources_type), intent(inout) :: sources
     integer, intent(in) :: k
 
-    if (.not. sources%are_held) call open_records(sources%reader(k), &
-      rank_file(sources%journal_type, sources%number(k)))
+    call open_records(sources%reader(k), rank_file(sources%journal_type, sources%number(k)))
   end subroutine open_rank_file
 
   !> Closes a rank file, by its index in the list, unless it is held open; 0: none.
@@ -245,8 +240,7 @@ contains
     sources%place = [(place_type(), k=1, task_count(plan))]
     sources%length = 0
     call new_results(results, plan%point_count, plan%replicas)
-    results%scanned = plan%scanned
-    if (.not. sources%are_held) call list_rank_files(sources)
+    if (.not. sources%are_held) call open_sources(sources, .false., error)
     if (size(sources%number) > 0 .or. sources%old%id /= no_handle) &
       task_index = task_index_of(plan)
     do k = 1, size(sources%number)
@@ -277,7 +271,7 @@ contains
           return
         end if
         do p = 1, size(before%task_status, 2)
-          do r = 1, before%replicas
+          do r = 1, old%plan%replicas
             if (before%task_status(r, p) /= task_complete) cycle
             found%status = task_complete
             found%task_id = task_id_with(before%seed(r, p), plan, plan%final_state)
@@ -285,7 +279,7 @@ contains
             found%measured%error = before%error(r, p, :)
             found%measured%counted = before%counted(r, p, :)
             found%host = before%host(1 + before%counted(r, p, host_place()))%text
-            call add_result(found, place_type(at=r + (p - 1)*before%replicas), old%length)
+            call add_result(found, place_type(at=r + (p - 1)*old%plan%replicas), old%length)
           end do
         end do
       end associate

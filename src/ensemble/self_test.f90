@@ -316,7 +316,7 @@ contains
     call open_results(plan%file, file, error)
     if (.not. allocated(error)) call read_results(file, results, error)
     if (allocated(error)) return
-    if (results%replicas /= plan%replicas .or. .not. all_tasks_complete(results)) &
+    if (size(results%seed, 1) /= plan%replicas .or. .not. all_tasks_complete(results)) &
       call fatal_error(error, 'not all tasks are in the file')
     do k = 1, plan%replicas
       if (allocated(error)) exit

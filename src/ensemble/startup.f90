@@ -333,7 +333,7 @@ contains
       return
     end if
     call inspect_journal(plan, .true., sources%journal_type, error)
-    if (.not. allocated(error)) call open_sources(sources, error)
+    if (.not. allocated(error)) call open_sources(sources, .true., error)
     if (.not. allocated(error)) call inspect_results_file(plan, sources%old, complete, damage, &
       error)
     if (.not. allocated(error)) call collect_results(plan, sources, results, error)

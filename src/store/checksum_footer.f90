@@ -128,7 +128,7 @@ contains
       c_int64_t), footer, digits, bytes, seen%mark)
     if (present(stamp)) stamp = seen
     content = merge(bytes - footer_length, bytes, bytes > footer_length)
-    first = first(:min(content, int(most, int64)))
+    if (content < most) first = first(:content)
     if (status < 0) then
       call fatal_error(error, name//' is open in another program, which may change it; ' &
         //'close it there', exit_bad_input)

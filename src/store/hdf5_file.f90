@@ -42,7 +42,7 @@ module battery_hdf5_file
   public :: hdf5_file_type, open_file, close_file, make_group, hdf5_library
   public :: write_attribute, write_text_attribute, read_text_attribute
   public :: dataset_type, write_dataset, write_dimension, serialize_dataset, prepare_dataset, &
-    serialize_slab, read_extents
+    serialize_slab, read_extents, close_dataset
   public :: array_view_type, array_view_of, release_handle, check_status, no_handle
 
   !> Value of a handle that is not open.
@@ -56,7 +56,7 @@ module battery_hdf5_file
     logical :: is_new = .false.
   end type hdf5_file_type
 
-  !> A dataset whose parts are written or read one by one; it is closed with its file.
+  !> A dataset whose parts are written or read one by one; it is closed with its file, or before.
   type :: dataset_type
     private
     character(len=:), allocatable :: path
@@ -473,16 +473,30 @@ contains
     type(error_type), allocatable, intent(inout) :: error
     character(len=*), intent(in), optional :: scales(:)
     type(dataset_type) :: dataset
-    integer :: status
 
     if (allocated(error)) return
     call open_or_make(file, path, memory, .false., units, long_name, error, dataset, scales)
     if (c_associated(memory%address) .and. product(memory%extents) > 0) &
       call serialize_view(file, dataset, memory, error)
+    call close_dataset(file, dataset, error)
+  end subroutine serialize_whole
+
+  !> Closes a dataset before its file, which frees the memory of its last chunk.
+  subroutine close_dataset(file, dataset, error)
+    !> File that the dataset is in, open.
+    class(hdf5_file_type), intent(in) :: file
+    !> Dataset; one that is not open is no error.
+    type(dataset_type), intent(inout) :: dataset
+    !> The last chunk could not be written to the file; an earlier error is kept.
+    type(error_type), allocatable, intent(inout) :: error
+    integer :: status
+
     status = 0
     call release_handle(dataset%id, status)
-    if (.not. allocated(error)) call check_status(file, path, 'cannot be closed', status, error)
-  end subroutine serialize_whole
+    dataset%id = no_handle
+    if (status /= 0 .and. .not. allocated(error)) &
+      call check_status(file, dataset%path, 'cannot be closed', status, error)
+  end subroutine close_dataset
 
   !> Makes a dataset with fill values in a new file, or opens and checks one of a file that is read,
   !> so that one procedure declares the contents for both; `serialize_slab` then writes or reads

@@ -27,7 +27,8 @@ module battery_results_file
   use battery_files, only: file_stamp_type, sync_file, publish_unless_replaced, remove_file
   use battery_hdf5_file, only: hdf5_file_type, open_file, close_file, make_group, check_status, &
     read_text_attribute, write_attribute, write_text_attribute, dataset_type, serialize_dataset, &
-    write_dataset, write_dimension, prepare_dataset, serialize_slab, read_extents
+    write_dataset, write_dimension, prepare_dataset, serialize_slab, read_extents, &
+    close_dataset
   use battery_key, only: key_type, find_key
   use battery_keys, only: all_keys
   use battery_namelist_input, only: parse_namelist
@@ -93,7 +94,7 @@ module battery_results_file
     !> Stamp of a file that was opened, or was damaged; of a new file, that of the only file that it
     !> may replace.
     type(file_stamp_type) :: stamp
-    !> Plan of the file: that of a new one is set before `prepare_outputs`, that of another follows
+    !> Plan of the file: that of a new one is set before `write_results`, that of another follows
     !> from its namelist in `read_results`.
     type(plan_type) :: plan
     !> Length of the first dimension of each group: greatest number of entries, or of particles, of
@@ -127,13 +128,13 @@ contains
 
   !> Writes all contents except attributes of the root and task output. Does nothing after an error.
   subroutine write_results(file, results, error)
-    !> File from `create_results`.
-    class(hdf5_file_type), intent(in) :: file
+    !> File from `create_results`, with its plan.
+    type(results_file_type), intent(in) :: file
     !> Results, which are only read.
     type(results_type), intent(inout) :: results
     type(error_type), allocatable, intent(inout) :: error
 
-    call write_scan(file, results, error)
+    call write_scan(file, error)
     call write_points(file, results, error)
     call serialize_measured(file, results, error)
     call write_precision(file, results, error)
@@ -150,7 +151,14 @@ contains
     !> After an earlier error, while the file was filled, it is not published.
     type(error_type), allocatable, intent(inout) :: error
     type(error_type), allocatable :: other
+    integer :: group, k
 
+    ! Their last chunks are freed before the bytes of the file are taken.
+    do group = series, merge(events, 0, file%is_new)
+      do k = 1, columns(group)
+        call close_dataset(file, file%dataset(k, group), error)
+      end do
+    end do
     call close_file(file, error)
     if (.not. allocated(error)) call check_footer(temporary_name(name), error)
     if (.not. allocated(error)) call sync_file(temporary_name(name), error)
@@ -201,9 +209,8 @@ contains
 
   !> Writes the grid of the scan: its keys in the attribute `scan` of the root, the slowest first,
   !> and the values of each key in the group `scan`.
-  subroutine write_scan(file, results, error)
-    class(hdf5_file_type), intent(in) :: file
-    type(results_type), intent(in) :: results
+  subroutine write_scan(file, error)
+    type(results_file_type), intent(in) :: file
     type(error_type), allocatable, intent(inout) :: error
     type(key_type), allocatable :: keys(:)
     character(len=:), allocatable :: names
@@ -211,13 +218,13 @@ contains
 
     names = ''
     keys = all_keys()
-    if (size(results%scanned) > 0) call make_group(file, '/scan', error)
-    do k = 1, size(results%scanned)
+    if (size(file%plan%scanned) > 0) call make_group(file, '/scan', error)
+    do k = 1, size(file%plan%scanned)
       ! The second values of pairs belong to the points of the first.
-      if (results%scanned(k)%is_paired) cycle
-      associate (key => keys(find_key(keys, 'scan', results%scanned(k)%key)))
+      if (file%plan%scanned(k)%is_paired) cycle
+      associate (key => keys(find_key(keys, 'scan', file%plan%scanned(k)%key)))
         names = names//' '//trim(key%name)
-        call write_dataset(file, '/scan/'//trim(key%name), real(results%scanned(k)%values, dp), &
+        call write_dataset(file, '/scan/'//trim(key%name), real(file%plan%scanned(k)%values, dp), &
           trim(key%unit)//repeat('1', merge(1, 0, key%unit == '')), trim(key%meaning), error)
       end associate
     end do
@@ -380,8 +387,8 @@ contains
 
     call write_counting_scale(file, '/point', 0, size(results%point), 'point of the scan, from 0', &
       error)
-    call write_counting_scale(file, '/replica', 0, results%replicas, 'replica of a point, from 0', &
-      error)
+    call write_counting_scale(file, '/replica', 0, size(results%seed, 1), &
+      'replica of a point, from 0', error)
     call write_counting_scale(file, '/gate', 1, 2, 'gate, that of urn 1 and that of urn 2', error)
     call write_counting_scale(file, '/urn', 1, 2, 'urn', error)
     associate (p => results%point)
