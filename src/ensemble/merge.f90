@@ -12,8 +12,8 @@ module battery_merge
   use battery_error, only: error_type, fatal_error, exit_bad_input
   use battery_files, only: file_stamp_type, has_stamp, may_open
   use battery_fingerprint, only: fingerprint_text
-  use battery_hdf5_attributes, only: write_attribute, write_text_attribute
-  use battery_hdf5_file, only: hdf5_file_type, make_group, no_handle
+  use battery_hdf5_file, only: hdf5_file_type, make_group, write_attribute, write_text_attribute, &
+    no_handle
   use battery_identity, only: task_id_with
   use battery_journal, only: journal_type, rank_file, rank_files_of
   use battery_plan, only: plan_type, point_of
@@ -24,8 +24,8 @@ module battery_merge
   use battery_results, only: results_type, new_results, task_complete, task_failed, &
     task_not_asked, point_undecided, all_tasks_complete
   use battery_results_file, only: results_file_type, create_results, write_results, &
-    publish_results, read_results, close_results
-  use battery_task_output, only: prepare_outputs, serialize_slabs, ended_early, series, events
+    publish_results, read_results, close_results, prepare_outputs, serialize_slabs, ended_early, &
+    series, events
   use battery_task_result, only: task_result_type, next_result
   use battery_tasks, only: task_type, task_count, task_of, task_index_type, task_index_of, &
     task_number_of
@@ -64,17 +64,17 @@ contains
   !> numbers.
   subroutine merge_results(plan, sources, start_date, results, error)
     type(plan_type), intent(in) :: plan
-    !> The old results file is not used if it is not the one that was there when the lock was taken.
+    !> The old results file is not used if it is not the one any more that was read at the start.
     type(sources_type), intent(inout) :: sources
     !> Start of the run as date and time of day.
     character(len=*), intent(in) :: start_date
     type(results_type), intent(out) :: results
     type(error_type), allocatable, intent(out) :: error
 
-    if (.not. has_stamp(plan%file, sources%lock%before)) call close_results(sources%old)
+    if (.not. has_stamp(plan%file, sources%old%stamp)) call close_results(sources%old)
     call collect_results(plan, sources, results, error)
     if (.not. allocated(error)) call write_results_of(plan, sources, plan%file, &
-      sources%lock%before, start_date, results, error)
+      sources%old%stamp, start_date, results, error)
   end subroutine merge_results
 
   !> Writes the results of all sources to a new file, and publishes it.
@@ -110,27 +110,34 @@ contains
       end associate
     end do
     call create_results(name, file, error)
+    file%plan = plan
+    file%stamp = before
     call write_description(file, plan, max(1, sources%ranks), start_date, results, error)
     call write_results(file, results, error)
-    call prepare_outputs(file, plan, sources%length, plan%event_log .and. any( &
+    call prepare_outputs(file, sources%length, plan%event_log .and. any( &
       results%task_status <= task_failed), error)
     call copy_outputs(plan, sources, file, results, error)
     call close_sources(sources)
-    call publish_results(name, file, before, error)
+    call publish_results(name, file, error)
   end subroutine write_results_of
 
-  !> Opens all rank files, so that what is in them now can be read even if a run that is going on
-  !> ends and removes them.
-  subroutine open_sources(sources, error)
+  !> Finds the rank files. Those of a run that may be going on are all opened, and held open, so
+  !> that what is in them now can be read even if the run ends and removes them.
+  subroutine open_sources(sources, hold, error)
     !> Sources with a journal from `find_journal`, to be closed with `close_sources`.
     type(sources_type), intent(inout) :: sources
+    !> Whether to hold the files open; else they are opened one by one.
+    logical, intent(in) :: hold
     !> They are more than this process may open.
     type(error_type), allocatable, intent(out) :: error
     !> Other files that may be open at the same time.
     integer(int64), parameter :: others = 64
     integer :: k
 
-    call list_rank_files(sources)
+    sources%number = rank_files_of(sources%journal_type)
+    sources%reader = spread(record_reader_type(), 1, size(sources%number))
+    sources%are_held = hold
+    if (.not. hold) return
     if (may_open(size(sources%number) + others) == 0) then
       call fatal_error(error, sources%folder//': has '//to_text(size(sources%number)) &
         //' files to be open at the same time, more than this process may open (ulimit -Hn)')
@@ -139,16 +146,7 @@ contains
     do k = 1, size(sources%number)
       call open_rank_file(sources, k)
     end do
-    sources%are_held = .true.
   end subroutine open_sources
-
-  !> Lists the rank files, which are not open yet.
-  subroutine list_rank_files(sources)
-    type(sources_type), intent(inout) :: sources
-
-    sources%number = rank_files_of(sources%journal_type)
-    sources%reader = spread(record_reader_type(), 1, size(sources%number))
-  end subroutine list_rank_files
 
   !> Closes the old results file and the rank files that are held open.
   subroutine close_sources(sources)
@@ -162,13 +160,12 @@ contains
     end do
   end subroutine close_sources
 
-  !> Opens a rank file, by its index in the list, unless it is held open.
+  !> Opens a rank file, by its index in the list, unless it is open.
   subroutine open_rank_file(sources, k)
     type(sources_type), intent(inout) :: sources
     integer, intent(in) :: k
 
-    if (.not. sources%are_held) call open_records(sources%reader(k), &
-      rank_file(sources%journal_type, sources%number(k)))
+    call open_records(sources%reader(k), rank_file(sources%journal_type, sources%number(k)))
   end subroutine open_rank_file
 
   !> Closes a rank file, by its index in the list, unless it is held open; 0: none.
@@ -243,8 +240,7 @@ contains
     sources%place = [(place_type(), k=1, task_count(plan))]
     sources%length = 0
     call new_results(results, plan%point_count, plan%replicas)
-    results%scanned = plan%scanned
-    if (.not. sources%are_held) call list_rank_files(sources)
+    if (.not. sources%are_held) call open_sources(sources, .false., error)
     if (size(sources%number) > 0 .or. sources%old%id /= no_handle) &
       task_index = task_index_of(plan)
     do k = 1, size(sources%number)
@@ -275,7 +271,7 @@ contains
           return
         end if
         do p = 1, size(before%task_status, 2)
-          do r = 1, before%replicas
+          do r = 1, old%plan%replicas
             if (before%task_status(r, p) /= task_complete) cycle
             found%status = task_complete
             found%task_id = task_id_with(before%seed(r, p), plan, plan%final_state)
@@ -283,7 +279,7 @@ contains
             found%measured%error = before%error(r, p, :)
             found%measured%counted = before%counted(r, p, :)
             found%host = before%host(1 + before%counted(r, p, host_place()))%text
-            call add_result(found, place_type(at=r + (p - 1)*before%replicas), old%length)
+            call add_result(found, place_type(at=r + (p - 1)*old%plan%replicas), old%length)
           end do
         end do
       end associate
@@ -352,8 +348,7 @@ contains
       if (all(results%task_status(task%replica, task%point) /= [task_complete, task_failed])) cycle
       associate (place => sources%place(k))
         if (place%file == 0) then
-          call serialize_slabs(sources%old, int(place%at), task%number, found%task_output_type, &
-            error)
+          call serialize_slabs(sources%old, int(place%at), found%task_output_type, error)
         else
           if (place%file /= open_file) then
             call close_rank_file(sources, open_file)
@@ -367,7 +362,7 @@ contains
         end if
       end associate
       if (allocated(error)) exit
-      call serialize_slabs(file, k, task%number, found%task_output_type, error)
+      call serialize_slabs(file, k, found%task_output_type, error)
       if (ended_early(found%task_output_type, size(plan%snapshot_times))) &
         results%short_tasks = results%short_tasks + 1
     end do

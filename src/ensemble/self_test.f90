@@ -9,7 +9,6 @@ module battery_self_test
   use battery_engine, only: particles_type
   use battery_ensemble, only: run_ensemble
   use battery_error, only: error_type, fatal_error, exit_success
-  use battery_task_output, only: task_output_type, serialize_slabs, final
   use battery_files, only: remove_file
   use battery_journal, only: remove_journal
   use battery_kinds, only: wp, int64
@@ -17,7 +16,8 @@ module battery_self_test
   use battery_plan, only: plan_type, setup_of
   use battery_process, only: process_number
   use battery_results, only: results_type, all_tasks_complete
-  use battery_results_file, only: results_file_type, open_results, read_results, close_results
+  use battery_results_file, only: results_file_type, open_results, read_results, close_results, &
+    task_output_type, serialize_slabs, final
   use battery_simulation, only: setup_type, simulation_type, begin_simulation, advance_simulation, &
     verify_simulation
   use battery_terminal, only: print_line
@@ -316,11 +316,11 @@ contains
     call open_results(plan%file, file, error)
     if (.not. allocated(error)) call read_results(file, results, error)
     if (allocated(error)) return
-    if (results%replicas /= plan%replicas .or. .not. all_tasks_complete(results)) &
+    if (size(results%seed, 1) /= plan%replicas .or. .not. all_tasks_complete(results)) &
       call fatal_error(error, 'not all tasks are in the file')
     do k = 1, plan%replicas
       if (allocated(error)) exit
-      call serialize_slabs(file, k, size(final_lines), output, error)
+      call serialize_slabs(file, k, output, error)
       if (allocated(error)) exit
       associate (states => output%of(final)%values)
         if (.not. is_final_state(states(:, 1), states(:, 2), states(:, 3), states(:, 4))) &

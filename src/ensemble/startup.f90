@@ -294,7 +294,7 @@ contains
       if (.not. allocated(error) .and. file%version /= program_version) call fatal_error(error, &
         plan%file//' was made by version '//file%version//'; this one, '//program_version &
         //', cannot check it', exit_bad_input)
-      if (.not. allocated(error)) call accept_results(plan%file, file, lock%before, results, error)
+      if (.not. allocated(error)) call accept_results(plan%file, file, results, error)
       if (.not. allocated(error)) message = plan%file//': accepted as it is, with a new digest: ' &
         //'its structure and its seeds are those of its namelist; ' &
         //count_text(count(results%task_status == task_complete), 'complete task')
@@ -333,7 +333,7 @@ contains
       return
     end if
     call inspect_journal(plan, .true., sources%journal_type, error)
-    if (.not. allocated(error)) call open_sources(sources, error)
+    if (.not. allocated(error)) call open_sources(sources, .true., error)
     if (.not. allocated(error)) call inspect_results_file(plan, sources%old, complete, damage, &
       error)
     if (.not. allocated(error)) call collect_results(plan, sources, results, error)

@@ -2,7 +2,7 @@
 module battery_task_result
   use battery_kinds, only: dp, int64
   use battery_clocks, only: utc_seconds
-  use battery_task_output, only: task_output_type, serialize_output, series, snapshots, final, &
+  use battery_results_file, only: task_output_type, serialize_output, series, snapshots, final, &
     events
   use battery_engine, only: particles_type
   use battery_process, only: machine_text

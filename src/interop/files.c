@@ -12,7 +12,6 @@
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
-#include <sys/file.h>
 #include <sys/resource.h>
 #include <sys/stat.h>
 #include <unistd.h>
@@ -122,16 +121,6 @@ int battery_sync(const char *path) {
   return status != 0 && !battery_is_disk_error() && battery_kind_of(path) == 2 ? 0 : status;
 }
 
-/* Whether another program holds a lock on a file that excludes readers, as HDF5 does while a file is
-   open for writing. */
-int battery_is_locked(const char *path) {
-  int descriptor = open(path, O_RDONLY | O_NONBLOCK | O_CLOEXEC);
-  if (descriptor < 0) return 0;
-  int locked = flock(descriptor, LOCK_SH | LOCK_NB) != 0 && errno == EWOULDBLOCK;
-  close(descriptor);
-  return locked;
-}
-
 /* Makes a new empty file: a file or a link that had the name is removed. */
 static int create_new(const char *path) {
   if (unlink(path) != 0 && errno != ENOENT) return errno;
@@ -140,29 +129,43 @@ static int create_new(const char *path) {
   return close(descriptor) == 0 ? 0 : errno;
 }
 
-/* Identity of the file that a name refers to, links not followed: device, inode, size, time of its
-   last change; all 0: no file. It is opened, since NFS and sshfs answer `lstat` from what they knew
-   some seconds ago; `open` makes them ask the server. */
-void battery_look_at(const char *path, int64_t seen[5]) {
+/* Identity of a file: device, inode, size, time of its last change. */
+static void identify(const struct stat *found, int64_t seen[5]) {
+  seen[0] = (int64_t)found->st_dev;
+  seen[1] = (int64_t)found->st_ino;
+  seen[2] = (int64_t)found->st_size;
+  seen[3] = found->st_mtim.tv_sec;
+  seen[4] = found->st_mtim.tv_nsec;
+}
+
+/* Identity of an open file. */
+int battery_identify(int descriptor, int64_t seen[5]) {
   struct stat found;
-  memset(seen, 0, 5 * sizeof *seen);
-  int descriptor = open(path, O_RDONLY | O_NOFOLLOW | O_NONBLOCK | O_CLOEXEC);
-  int status = descriptor < 0 ? lstat(path, &found) : fstat(descriptor, &found);
-  if (descriptor >= 0) close(descriptor);
-  if (status != 0) return;
-  seen[0] = (int64_t)found.st_dev;
-  seen[1] = (int64_t)found.st_ino;
-  seen[2] = (int64_t)found.st_size;
-  seen[3] = found.st_mtim.tv_sec;
-  seen[4] = found.st_mtim.tv_nsec;
+  if (fstat(descriptor, &found) != 0) return errno;
+  identify(&found, seen);
+  return 0;
+}
+
+/* Whether a name refers to the file with the given identity (all 0: to none), links not followed, as
+   far as is known without opening it. */
+int battery_has_stamp(const char *path, const int64_t seen[5]) {
+  struct stat found;
+  int64_t now[5] = {0};
+  if (lstat(path, &found) == 0) identify(&found, now);
+  return memcmp(now, seen, sizeof now) == 0;
 }
 
 /* Renames a file to a name that no file has, or only the file with the given identity; -1: another
    file has it. */
 int battery_put_in_place(const char *old, const char *new, const int64_t seen[5]) {
   const int64_t nothing[5] = {0};
-  int64_t now[5];
-  battery_look_at(new, now);
+  int64_t now[5] = {0};
+  struct stat found;
+  /* It is opened, since NFS and sshfs answer `lstat` from what they knew some seconds ago; `open`
+     makes them ask the server. */
+  int descriptor = open(new, O_RDONLY | O_NOFOLLOW | O_NONBLOCK | O_CLOEXEC);
+  if ((descriptor < 0 ? lstat(new, &found) : fstat(descriptor, &found)) == 0) identify(&found, now);
+  if (descriptor >= 0) close(descriptor);
   if (memcmp(now, nothing, sizeof now) != 0) {
     if (memcmp(now, seen, sizeof now) != 0) return -1;
 #ifdef RENAME_NOREPLACE

@@ -9,21 +9,19 @@ module battery_files
   use battery_text, only: string_type
   implicit none (type, external)
   private
-  public :: file_exists, is_readable, is_writable, is_locked, is_disk_error, files_matching
+  public :: file_exists, is_readable, is_writable, is_disk_error, files_matching
   public :: may_open
   public :: sync_file, remove_file, make_folder, publish_file, write_parts
-  public :: file_stamp_type, file_stamp_at, has_stamp, publish_unless_replaced
+  public :: file_stamp_type, has_stamp, publish_unless_replaced
 
-  !> Stamp of the file that a name referred to at one time; initially: no file.
+  !> Stamp of a file when it was read; initially: no file.
   type :: file_stamp_type
-    private
     integer(c_int64_t) :: mark(5) = 0
   end type file_stamp_type
 
   procedure(number_of_path), bind(c, name='battery_exists') :: c_exists
   procedure(number_of_path), bind(c, name='battery_may_read') :: c_may_read
   procedure(number_of_path), bind(c, name='battery_may_write') :: c_may_write
-  procedure(number_of_path), bind(c, name='battery_is_locked') :: c_is_locked
   procedure(number_of_path), bind(c, name='battery_remove') :: c_remove
   procedure(number_of_path), bind(c, name='battery_make_folder') :: c_make_folder
   procedure(number_of_path), bind(c, name='battery_sync') :: c_sync
@@ -46,12 +44,12 @@ module battery_files
       integer(c_int64_t), value, intent(in) :: count
     end function may_open
 
-    subroutine c_look_at(path, seen) bind(c, name='battery_look_at')
-      import :: c_char, c_int64_t
+    integer(c_int) function c_has_stamp(path, seen) bind(c, name='battery_has_stamp')
+      import :: c_char, c_int, c_int64_t
       implicit none (type, external)
       character(kind=c_char), intent(in) :: path(*)
-      integer(c_int64_t), intent(out) :: seen(5)
-    end subroutine c_look_at
+      integer(c_int64_t), intent(in) :: seen(5)
+    end function c_has_stamp
 
     integer(c_int) function c_write_parts(path, at, first, second, third) &
         bind(c, name='battery_write_parts')
@@ -96,15 +94,6 @@ contains
     yes = c_may_write(path//c_null_char) /= 0
   end function is_writable
 
-  !> Whether another program has locked the file against readers, as HDF5 does while it is open for
-  !> writing.
-  logical function is_locked(path) result(yes)
-    !> Links are followed.
-    character(len=*), intent(in) :: path
-
-    yes = c_is_locked(path//c_null_char) /= 0
-  end function is_locked
-
   !> Syncs a file, or the entries of a folder, to disk. A folder that cannot be synced is no error.
   subroutine sync_file(path, error)
     !> Path of a file or a folder.
@@ -131,26 +120,14 @@ contains
     end if
   end subroutine publish_file
 
-  !> Stamp of the file that a name refers to now, to detect later that it was replaced.
-  function file_stamp_at(path) result(seen)
+  !> Whether a name still refers to the file that was read, as far as is known without opening it.
+  logical function has_stamp(path, before) result(yes)
     !> Links are not followed.
     character(len=*), intent(in) :: path
-    type(file_stamp_type) :: seen
-
-    call c_look_at(path//c_null_char, seen%mark)
-  end function file_stamp_at
-
-  !> Whether a name still refers to the file that it referred to before.
-  function has_stamp(path, before) result(yes)
-    !> Links are not followed.
-    character(len=*), intent(in) :: path
-    !> Stamp before, from `file_stamp_at`.
+    !> Stamp of the file that was read.
     type(file_stamp_type), intent(in) :: before
-    logical :: yes
-    type(file_stamp_type) :: now
 
-    now = file_stamp_at(path)
-    yes = all(now%mark == before%mark)
+    yes = c_has_stamp(path//c_null_char, before%mark) /= 0
   end function has_stamp
 
   !> As `publish_file`, for a temporary file that is synced to disk, but replaces only the file with

@@ -18,7 +18,7 @@ module battery_lock_file
   use battery_c_shapes, only: number_of_path_and_text
   use battery_kinds, only: dp
   use battery_error, only: error_type, fatal_error, exit_bad_input, exit_failure, exit_stopped_early
-  use battery_files, only: is_disk_error, file_stamp_type, file_stamp_at, files_matching
+  use battery_files, only: is_disk_error, files_matching
   use battery_paths, only: system_message, folder_of
   use battery_clocks, only: wall_seconds, sleep_for
   use battery_signals, only: stop_requested
@@ -45,8 +45,6 @@ module battery_lock_file
   type :: lock_type
     !> Path of the lock file, and its text while this run owns the output; not allocated: no lock.
     character(len=:), allocatable :: path, text
-    !> Stamp of the output file when the lock was acquired, on rank 0 alone.
-    type(file_stamp_type) :: before
     !> Descriptor of the open lock file, on rank 0 alone; below 0: it is not open.
     integer(c_int), private :: descriptor = -1
   end type lock_type
@@ -109,7 +107,6 @@ contains
         ! sshfs remembers what a file was for 20 s, and asks anew where the folder has changed: the
         ! lock file is new in it.
         seen = files_matching(folder_of(file), '*')
-        lock%before = file_stamp_at(file)
         return
       case (held, unknown)
         if (wall_seconds() > last_attempt) then

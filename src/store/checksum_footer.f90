@@ -9,19 +9,19 @@
 !> The alternative is HDF5's user block, before its own header; but readers that identify a file by
 !> its first bytes (as `xarray.open_dataset` does) do not recognise such a file as HDF5.
 module battery_checksum_footer
+  use, intrinsic :: iso_c_binding, only: c_char, c_int, c_int8_t, c_int64_t, c_null_char
   use battery_kinds, only: int8, int64
   use battery_error, only: error_type, fatal_error, exit_bad_input, exit_failure
-  use battery_digest, only: digest_type, begin_digest, add_to_digest, end_digest, digest_length
   use battery_foreign_bytes, only: is_results_file
-  use battery_files, only: is_readable, is_locked, write_parts
+  use battery_files, only: is_readable, write_parts, file_stamp_type
   use battery_file_text, only: read_file
   use battery_paths, only: is_folder
   implicit none (type, external)
   private
   public :: write_with_footer, check_footer, check_discardable, copy_with_footer
 
-  !> Length of the footer in bytes.
-  integer, parameter :: footer_length = 512
+  !> Length of the footer in bytes; hexadecimal digits of a digest.
+  integer, parameter :: footer_length = 512, digest_length = 64
 
   !> First line of the footer, and the line that explains it to a reader.
   character(len=*), parameter :: first_line = 'battery results 1'
@@ -35,8 +35,29 @@ module battery_checksum_footer
   !> Advice about something else that has the name of the results file.
   character(len=*), parameter :: leave_it = '; name another output file, or move it away'
 
-  !> Bytes that are read at a time.
-  integer, parameter :: piece = 1024**2
+  interface
+    !> SHA-256 digest of bytes, in hexadecimal digits; not 0: it cannot be computed.
+    integer(c_int) function c_digest(bytes, count, digits) bind(c, name='battery_digest')
+      import :: c_char, c_int, c_int8_t, c_int64_t, digest_length
+      implicit none (type, external)
+      integer(c_int8_t), intent(in) :: bytes(*)
+      integer(c_int64_t), value, intent(in) :: count
+      character(kind=c_char), intent(out) :: digits(digest_length)
+    end function c_digest
+
+    !> Reads a file once: its first and its last bytes, the digest of all but the last, its length
+    !> and its stamp. Returns 0, an error number, or -1 if another program may change it.
+    integer(c_int) function c_digest_file(path, behind, first, capacity, last, digits, length, &
+        seen) bind(c, name='battery_digest_file')
+      import :: c_char, c_int, c_int64_t, digest_length
+      implicit none (type, external)
+      character(kind=c_char), intent(in) :: path(*)
+      integer(c_int64_t), value, intent(in) :: behind, capacity
+      character(kind=c_char), intent(inout) :: first(capacity), last(behind)
+      character(kind=c_char), intent(inout) :: digits(digest_length)
+      integer(c_int64_t), intent(inout) :: length, seen(5)
+    end function c_digest_file
+  end interface
 
 contains
 
@@ -48,13 +69,9 @@ contains
     integer(int8), intent(in), contiguous :: bytes(:)
     !> The digest could not be computed, or not all bytes could be written.
     type(error_type), allocatable, intent(out) :: error
-    type(digest_type) :: digest
-    character(len=:), allocatable :: digits
+    character(len=digest_length) :: digits
 
-    call begin_digest(digest)
-    call add_to_digest(digest, bytes)
-    call end_digest(digest, digits)
-    if (len(digits) /= digest_length) then
+    if (c_digest(bytes, size(bytes, kind=int64), digits) /= 0) then
       call fatal_error(error, 'the digest cannot be computed')
     else
       call write_parts(name, 0_int64, bytes, transfer(footer_text(size(bytes, kind=int64), &
@@ -80,40 +97,42 @@ contains
   !> cuts off what is behind its data when a program opens the file for writing, and versions before
   !> 0.2.0 wrote none. A file that is empty, or whose first bytes are zero, may result from a crash
   !> of the machine, and counts as damaged.
-  subroutine check_footer(name, error, lacks_footer)
+  subroutine check_footer(name, error, lacks_footer, stamp)
     !> Path of the file.
     character(len=*), intent(in) :: name
     !> The file cannot be read, is open in another program, is damaged, or has no footer.
     type(error_type), allocatable, intent(out) :: error
     !> Whether the error is that a file of this program, as long as HDF5 says, has no footer.
     logical, intent(out), optional :: lacks_footer
+    !> Stamp of the file that was read, also after an error.
+    type(file_stamp_type), intent(out), optional :: stamp
+    integer, parameter :: most = 1024**2
     character(len=footer_length) :: footer
-    character(len=:), allocatable :: first, digits
+    character(len=digest_length) :: digits
+    character(len=:), allocatable :: first
+    type(file_stamp_type) :: seen
     integer(int64) :: bytes, content
-    integer :: unit, status
+    integer :: status
 
     if (present(lacks_footer)) lacks_footer = .false.
     if (is_folder(name)) then
       call fatal_error(error, name//' is a folder'//leave_it, exit_bad_input)
     else if (.not. is_readable(name)) then
       call fatal_error(error, name//' may not be read'//leave_it, exit_bad_input)
-    else if (is_locked(name)) then
-      call fatal_error(error, name//' is open in another program, which may change it; ' &
-        //'close it there', exit_bad_input)
     end if
     if (allocated(error)) return
-    content = 0
+    allocate (character(len=most) :: first)
+    bytes = 0
     footer = ''
-    open (newunit=unit, file=name, access='stream', form='unformatted', action='read', &
-      status='old', iostat=status)
-    if (status == 0) then
-      inquire (unit, size=bytes)
-      content = merge(bytes - footer_length, bytes, bytes > footer_length)
-      call read_content(unit, content, first, digits, status)
-      if (status == 0 .and. content < bytes) read (unit, iostat=status) footer
-      close (unit)
-    end if
-    if (status /= 0) then
+    status = c_digest_file(name//c_null_char, int(footer_length, c_int64_t), first, int(most, &
+      c_int64_t), footer, digits, bytes, seen%mark)
+    if (present(stamp)) stamp = seen
+    content = merge(bytes - footer_length, bytes, bytes > footer_length)
+    if (content < most) first = first(:content)
+    if (status < 0) then
+      call fatal_error(error, name//' is open in another program, which may change it; ' &
+        //'close it there', exit_bad_input)
+    else if (status > 0) then
       call fatal_error(error, name//' is damaged: it cannot be read to its end', exit_failure)
     else if (footer == footer_text(content, digits)) then
       return
@@ -189,37 +208,5 @@ contains
     call read_file(name, text, error)
     if (.not. allocated(error)) call write_with_footer(copy, transfer(text, [0_int8]), error)
   end subroutine copy_with_footer
-
-  !> Reads the bytes before the footer.
-  subroutine read_content(unit, count, first, digits, status)
-    !> Unit on which the file is open, at its beginning.
-    integer, intent(in) :: unit
-    !> Number of bytes before the footer.
-    integer(int64), intent(in) :: count
-    !> First bytes of the file, with HDF5's superblock.
-    character(len=:), allocatable, intent(out) :: first
-    !> SHA-256 digest of all these bytes, in hexadecimal digits.
-    character(len=:), allocatable, intent(out) :: digits
-    !> Status of reading; not 0: the bytes cannot be read.
-    integer, intent(out) :: status
-    integer(int8), allocatable :: bytes(:)
-    type(digest_type) :: digest
-    integer(int64) :: left
-
-    status = 0
-    left = count
-    allocate (bytes(int(min(left, int(piece, int64)))))
-    first = repeat(' ', size(bytes))
-    call begin_digest(digest)
-    do while (left > 0 .and. status == 0)
-      if (left < size(bytes)) bytes = bytes(:int(left))
-      read (unit, iostat=status) bytes
-      if (left == count) first = transfer(bytes, first)
-      call add_to_digest(digest, bytes)
-      left = left - size(bytes)
-    end do
-    call end_digest(digest, digits)
-    if (status == 0 .and. len(digits) /= digest_length) status = 1
-  end subroutine read_content
 
 end module battery_checksum_footer

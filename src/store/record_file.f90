@@ -57,15 +57,16 @@ contains
     if (.not. allocated(error)) good_size = good_size + word_bytes*(head_size + head(head_size) + 1)
   end subroutine append_record
 
-  !> Opens a file to be read from its beginning; a missing file has no records.
+  !> Opens a file to be read from its beginning, unless the reader has it open already; a missing
+  !> file has no records.
   subroutine open_records(reader, name)
     !> Reader, open; to be closed with `close_records`.
-    type(record_reader_type), intent(out) :: reader
+    type(record_reader_type), intent(inout) :: reader
     !> Path of the file.
     character(len=*), intent(in) :: name
     integer :: status
 
-    if (.not. is_file(name)) return
+    if (reader%is_open .or. .not. is_file(name)) return
     open (newunit=reader%unit, file=name, access='stream', form='unformatted', action='read', &
       status='old', iostat=status)
     reader%is_open = status == 0

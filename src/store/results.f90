@@ -5,7 +5,7 @@
 module battery_results
   use battery_kinds, only: dp, int32, int64
   use battery_blocks, only: error_of_mean
-  use battery_plan, only: point_type, scanned_type
+  use battery_plan, only: point_type
   use battery_text, only: string_type
   use battery_quantities, only: averaged_quantities, counted_quantities, unknown_real, &
     unknown_count
@@ -26,10 +26,6 @@ module battery_results
   !> Results of all tasks. Unknown reals are NaN, unknown integers -1. Lengths are in the unit of
   !> the namelist, times in lengths over the speed.
   type :: results_type
-    integer :: replicas = 0
-    !> The keys that were scanned, the slowest first, with their values: the points are all
-    !> combinations.
-    type(scanned_type), allocatable :: scanned(:)
     !> The points of the scan.
     type(point_type), allocatable :: point(:)
     integer(int64), allocatable :: seed(:, :)
@@ -59,8 +55,7 @@ contains
     !> Number of points, and of replicas of each.
     integer, intent(in) :: points, replicas
 
-    results%replicas = replicas
-    allocate (results%scanned(0), results%point(points), results%host(0))
+    allocate (results%point(points), results%host(0))
     allocate (results%failure(points*replicas))
     allocate (results%task_status(replicas, points), source=task_not_done)
     allocate (results%seed(replicas, points), source=unknown_count)

@@ -7,8 +7,8 @@ module hdf5_reading
   use battery_kinds, only: dp, int32, int64
   use battery_error, only: error_type
   use battery_text, only: to_text
-  use battery_hdf5_file, only: hdf5_file_type, release_handle, check_status, no_handle
-  use battery_hdf5_attributes, only: array_view_type, array_view_of, read_text_attribute
+  use battery_hdf5_file, only: hdf5_file_type, release_handle, check_status, no_handle, &
+    array_view_type, array_view_of, read_text_attribute
   implicit none (type, external)
   private
   public :: read_dataset, read_attribute, read_shape, path_exists
