@@ -50,6 +50,11 @@ WRONG = {
     "urn_shape = 'polygon' urn_vertices = 1,-1, 1,1, 1,3, 1,2, -1,1, -1,-1": [
         "the side from corner 2 to 3, which meets the side from corner 3 to 4"
     ],
+    # A slot, a visit to which has 1e9 hits.
+    "urn_shape = 'polygon' urn_vertices = 1,-1, 1,1, 1e-9,1, 0,2, -1e-9,1, -1,1, -1,-1": [
+        "the side from corner 2 to 3, which meets the side from corner 4 to 5",
+        "sides that are 3e-6 apart",
+    ],
     "urn_shape = 'polygon' urn_vertices = 1,-1, 1.2,1, -1,1, -1.2,-1": [
         "the side from corner 1 to 2, which is not upright, where channel 1 is to begin",
         "the side from corner 3 to 4, which is not upright, where channel 2 is to begin",

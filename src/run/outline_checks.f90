@@ -14,6 +14,10 @@ module battery_outline_checks
   private
   public :: check_outlines, check_outline_at, has_outline, has_valid_outlines
 
+  !> The shortest side, and the narrowest gap between sides, in units of the width. A particle in a
+  !> gap hits a wall each time that it has crossed it: 4e6 hits in a passage through a narrower one.
+  real(wp), parameter :: narrowest = 1.0e-6_wp
+
   !> The keys of the corners.
   character(len=*), parameter :: key_of(2) = [character(len=13) :: 'urn_vertices', 'urn2_vertices']
 
@@ -122,12 +126,12 @@ contains
         return
       end if
       do k = 1, n
-        if (norm2(corner(:, next_corner(k, n)) - corner(:, k)) < finest*extent) call &
+        if (norm2(corner(:, next_corner(k, n)) - corner(:, k)) < narrowest*extent) call &
           refuse_key(plan, key, 'has '//side_text(k, n)//', which has no length', 'sides from ' &
-          //to_text(finest*extent)//' on, which is '//to_text(finest)//' of its width')
+          //to_text(narrowest*extent)//' on, which is '//to_text(narrowest)//' of its width')
       end do
       if (size(plan%problems) > before) return
-      call check_gaps(plan, key, corner, finest*extent)
+      call check_gaps(plan, key, corner, narrowest*extent)
       if (size(plan%problems) > before) return
       plan%outline(urn)%was_clockwise = enclosed_area(corner) < 0.0_wp
     end associate
@@ -151,7 +155,7 @@ contains
       do j = k + 1, n
         if (gap_between(k, j) >= least) cycle
         call refuse_key(plan, key, 'has '//side_text(k, n)//', which meets '//side_text(j, n), &
-          'sides that are '//to_text(least)//' apart, which is '//to_text(finest) &
+          'sides that are '//to_text(least)//' apart, which is '//to_text(narrowest) &
           //' of its width, but for the corner that they share')
         return
       end do
