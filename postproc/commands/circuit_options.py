@@ -70,7 +70,7 @@ def given_circuit(given: argparse.Namespace) -> Circuit:
     except cli.InputError as problem:
         text = str(problem)
         for key in values:
-            text = re.sub(rf"\b{key}\b", f"--{key.replace('_', '-')}", text)
+            text = re.sub(rf"(^|; ){key} = ", rf"\1--{key.replace('_', '-')} = ", text)
         raise cli.InputError(text) from None
 
 

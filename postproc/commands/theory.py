@@ -11,6 +11,7 @@ which of the two the transition is at this N.
 
 from __future__ import annotations
 
+import argparse
 import json
 
 from postproc import cli
@@ -43,7 +44,10 @@ def main(arguments: list[str] | None = None) -> int:
         with doing(f"theory {model.name}"):
             answers.append(describe(circuit, model))
         if given.tricritical and model.mixed:
-            there = tricritical.tricritical(model.of(circuit))
+            # It does not depend on N, but a circuit has no threshold above its N.
+            number = max(given.number, *given.threshold)
+            unlimited = given_circuit(argparse.Namespace(**vars(given) | {"number": number}))
+            there = tricritical.tricritical(model.of(unlimited))
             answers[-1]["transition"] = tricritical.order(model.of(circuit))
             answers[-1]["tricritical"] = vars(there) if there else None
     print(json.dumps(beside(models, answers), indent=2))

@@ -15,10 +15,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy import stats
 
+from postproc.cli import InputError
 from postproc.figures import style
 from postproc.figures.theories import default
 from postproc.reading.groups import each_series
-from postproc.reading.points import alike
+from postproc.reading.points import alike, files_of
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -114,6 +115,8 @@ def measured(points: xr.Dataset) -> list[Lifetime]:
         circuit, polarised = circuits[at], bool(starts[at] > MIDDLE)
         passage = first_passage(series, circuit.number, LOW if polarised else HIGH, polarised)
         passages.setdefault((circuit, polarised), []).append(passage)
+    if not passages:
+        raise InputError(f"{files_of(points)}: the series of all points are empty")
     lifetimes = []
     for (circuit, polarised), found in passages.items():
         times, passed = zip(*found, strict=True)

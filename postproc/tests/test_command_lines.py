@@ -161,6 +161,14 @@ def test_unusual_circuits_have_an_answer(
         assert_answered([*command, "--number", number, "--threshold", threshold, *rest], capsys)
 
 
+def test_a_key_is_an_option_only_where_its_value_is_refused(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    assert call("theory", ["--number", "0", "--threshold", "-1"]) == 2
+    said = capsys.readouterr().err
+    assert "--number = 0; allowed: a whole number from 1 up; --threshold = -1" in said
+
+
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full here")
 @pytest.mark.parametrize("words", [["--number=100", "--threshold=3"], ["--help"]])
 def test_output_on_a_full_device(words: list[str]) -> None:

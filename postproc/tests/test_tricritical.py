@@ -77,6 +77,8 @@ def test_command_line_prints_it(capsys: pytest.CaptureFixture[str]) -> None:
     assert printed["transition"] == "jump"
     assert set(printed["tricritical"]) == {"number", "channel2_width", "load_per_threshold"}
     assert np.isclose(printed["tricritical"]["number"], 984.8, atol=0.1)
+    assert call("theory", [*words, "--number", "2", "--model", "renewal"]) == 0
+    assert json.loads(capsys.readouterr().out)["tricritical"] == printed["tricritical"]
     assert call("theory", [*words, "--model", "direction"]) == 2
     assert "--tricritical is of" in capsys.readouterr().err
     assert call("theory", [*words, "--threshold", "7", "8", "--model", "renewal"]) == 2
