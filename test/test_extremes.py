@@ -264,6 +264,36 @@ def test_a_particle_beside_the_wall_of_a_wide_channel_is_located_before_it_enter
     assert hits["excursion"] == hits["collision"]
 
 
+def test_who_starts_at_the_mouth_of_a_channel_into_its_wall_hits_it(tmp_path: Path) -> None:
+    """The hit is still to come, however near to the corner it is."""
+    mouth = {0.15: (0.5, -1), 0.05: (0.5 + math.sqrt(1 - 0.15**2) + math.sqrt(1 - 0.05**2), 1)}
+    starts = [
+        (side * at, high * half_width, side * way, high * slope)
+        for half_width, (at, way) in mouth.items()
+        for side in (1, -1)
+        for high in (1, -1)
+        for slope in (1e-12, 1e-3, 0.1, 0.5)
+    ]
+    (tmp_path / "start.txt").write_text(
+        "".join(" ".join(map(repr, start)) + "\n" for start in starts)
+    )
+    hits = {}
+    for engine in ("excursion", "collision", "synchronous"):
+        ended = calculate(
+            tmp_path,
+            {"channel1_width": "0.3", "channel1_length": "1", "channel2_width": "0.1"},
+            engine,
+            engine,
+            number=len(starts),
+            particles={"initial_file": "'start.txt'"},
+            gate={"threshold": str(len(starts))},
+            run={"duration": "0.2"},
+        )
+        assert ended.returncode == 0, ended.stderr
+        hits[engine] = read(tmp_path / f"{engine}.h5")["collisions"].item()
+    assert hits["excursion"] == hits["collision"] == hits["synchronous"] >= len(starts)
+
+
 @pytest.mark.parametrize("width", [0.3, 0.01, 1e-6])
 @pytest.mark.parametrize("speed", [1e-3, 1e-6, 1e-8, 1e-10])
 def test_a_slow_particle_in_a_channel_is_located_before_it_enters_the_urn(

@@ -328,8 +328,9 @@ contains
       passage%time = -depth/outward
       passage%moves_away = outward > 0.0_wp
       height = y
-      if (abs(y) >= 0.5_wp*channel%width .and. y*uy <= 0.0_wp) height = 0.5_wp*(1.0_wp - 2.0_wp &
-        *epsilon(y))*sign(channel%width, y)
+      ! On the wall, its next hit is to come: also of who has just entered, and moves into the wall.
+      if (abs(y) >= 0.5_wp*channel%width .and. (passage%moves_away .or. y*uy <= 0.0_wp)) &
+        height = 0.5_wp*(1.0_wp - 2.0_wp*epsilon(y))*sign(channel%width, y)
       passage%height = height
       if (passage%moves_away) call fold_into_channel(height - uy*depth/outward, channel%width, &
         passage%height, passage%reflected, passage%hits)
