@@ -322,3 +322,17 @@ def test_lifetimes_command_takes_every_theory(capsys: pytest.CaptureFixture[str]
     assert call("lifetimes", ["--number", "380", "--threshold", "1", "2"]) == 2
     replaced = replace(Circuit(380, 1), gate2_threshold=1)
     assert replaced.alike
+
+
+@pytest.mark.parametrize(("thresholds", "width"), [((0, 7), 1e-4), ((7, 5), 1e-5)])
+def test_mirror_images_have_the_same_states(thresholds: tuple[int, int], width: float) -> None:
+    """Down to the emptiest urn, whichever of the two it is."""
+    both = [
+        Circuit(1000, one, channel2_width=width, gate2_threshold=two)
+        for one, two in (thresholds, thresholds[::-1])
+    ]
+    here, there = (direction.stationary_states(one) for one in both)
+    assert [one.kind for one in here] == [one.kind for one in reversed(there)]
+    assert here[0].kind == here[-1].kind == "stable"
+    mirrored = [1000.0 - one.urn2_number for one in reversed(there)]
+    assert [one.urn2_number for one in here] == pytest.approx(mirrored, abs=0.02)

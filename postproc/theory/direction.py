@@ -303,13 +303,13 @@ class Directions:
 
 
 def _shares() -> Floats:
-    """Return shares of urn 1 at which a circuit is held, decreasing from almost 1/2."""
+    """Return shares of an urn at which a circuit is held, decreasing from almost 1/2."""
     even = np.linspace(0.5 * (1.0 - NEXT_TO_EQUAL), 0.1, EVENLY)
     return np.concatenate([even, np.geomspace(0.1, LEAST_SHARE, FALLING + 1)[1:]])
 
 
-def _excess(held: Held) -> float:
-    return math.log(held.sent[0] / held.sent[1])
+def _excess(held: Held, urn: int = 0) -> float:
+    return math.log(held.sent[urn] / held.sent[1 - urn])
 
 
 @lru_cache(maxsize=8)
@@ -318,26 +318,35 @@ def scan(circuit: Circuit) -> tuple[tuple[float, Held], ...]:
 
     States, flows and outflows are computed from it, so it is cached.
     """
-    equations, shares = Directions(circuit), list(_shares())
+    equations = Directions(circuit)
+    found = _emptied(equations, 0)
     if not circuit.alike:
-        shares = [*(1.0 - one for one in reversed(shares)), *shares]
+        above = [(1.0 - share, held) for share, held in _emptied(equations, 1)]
+        found = [*reversed(above), *found]
+    if not found:
+        raise InputError(f"theory direction: it finds no flows between the urns, {circuit.brief}")
+    return tuple(found)
+
+
+def _emptied(equations: Directions, urn: int) -> list[tuple[float, Held]]:
+    """Return (share of an urn, circuit held there) from almost 1/2 until the urn gains."""
+    shares, tries = list(_shares()), 0
     found: list[tuple[float, Held]] = []
-    tries = 0
     with doing("directions, share", len(shares)) as advance:
-        while shares and (tries < NEARER or (tries < NEAREST and _excess(found[-1][1]) > 0.0)):
-            held = equations.held(shares[0], found[-1][1] if found else None)
+        while shares and (tries < NEARER or (tries < NEAREST and _excess(found[-1][1], urn) > 0.0)):
+            share1 = shares[0] if urn == 0 else 1.0 - shares[0]
+            held = equations.held(share1, found[-1][1] if found else None)
             if held.possible:
                 found.append((shares.pop(0), held))
             elif found:
                 shares, tries = [0.5 * (found[-1][0] + shares[0])], tries + 1
             else:
                 shares.pop(0)
-            if not shares and found and _excess(found[-1][1]) > 0.0 and found[-1][0] > FEWEST:
+            gains = not found or _excess(found[-1][1], urn) <= 0.0
+            if not (shares or gains) and found[-1][0] > FEWEST:
                 shares = [FURTHER * found[-1][0]]
             advance()
-    if not found:
-        raise InputError(f"theory direction: it finds no flows between the urns, {circuit.brief}")
-    return tuple(found)
+    return found
 
 
 def growth(circuit: Circuit) -> float:

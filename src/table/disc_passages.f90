@@ -54,14 +54,14 @@ contains
     n = group_size*((visits%count + group_size - 1)/group_size)
     visits%all_hits = 0
     visits%many_hits_count = 0
-    visits%wall_starts_count = 0
+    visits%untraceable_count = 0
     if (n == 0) return
     call find_first_impacts(n, 1.0_wp/disc%radius, visits%x, visits%y, visits%u_axial, &
       visits%u_lateral, visits%passage, visits%c, visits%s, visits%px, visits%py, visits%zx, &
       visits%zy, visits%steps, visits%first, uncommon)
     if (uncommon) then
       call recompute_grazing_incidences(disc, visits)
-      call list_wall_starts(disc, visits)
+      call list_untraceable(disc, visits)
     end if
     active = visits%count
     call number_slots(active, visits%slot)
@@ -218,7 +218,7 @@ contains
   !> on the circle too, where rounding would decide whether the particle was reflected. One that has
   !> glided along the wall of its channel may fly to the corner opposite, which belongs to the urn:
   !> its first impact must not lie in that opening by rounding.
-  pure subroutine list_wall_starts(disc, visits)
+  pure subroutine list_untraceable(disc, visits)
     type(disc_type), intent(in) :: disc
     type(visits_type), intent(inout) :: visits
     real(wp) :: half_width, distance
@@ -233,13 +233,13 @@ contains
       if (max(distance, 0.25_wp*(half_width - abs(visits%y(j))))*visits%c(j)**2 &
         > wall_margin*disc%radius .and. visits%passage(j) < longest_time*disc%radius &
         *visits%c(j)**2) cycle
-      visits%wall_starts_count = visits%wall_starts_count + 1
-      visits%wall_start_index(visits%wall_starts_count) = j
+      visits%untraceable_count = visits%untraceable_count + 1
+      visits%untraceable_index(visits%untraceable_count) = j
       if (abs(visits%u_lateral(j)) > 0.0_wp .or. abs(abs(visits%y(j)) - half_width) &
         > wall_margin*disc%radius) cycle
       visits%py(j) = sign((1.0_wp + 2.0_wp*epsilon(1.0_wp))*disc%half_opening(from), visits%py(j))
     end do
-  end subroutine list_wall_starts
+  end subroutine list_untraceable
 
   !> Computes `march_steps` impacts of each particle; one whose impact lies in an opening stays
   !> there. All impacts are computed first, as if there were no opening; then the first that lies in

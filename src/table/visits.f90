@@ -65,8 +65,8 @@ module battery_visits
     integer, allocatable :: many_hits_index(:)
     !> The same of the visits whose passage through a disc cannot be traced back to its start, since
     !> it starts on the wall within rounding, or a slow particle enters it along the wall.
-    integer :: wall_starts_count = 0
-    integer, allocatable :: wall_start_index(:)
+    integer :: untraceable_count = 0
+    integer, allocatable :: untraceable_index(:)
     !> Work space of the kernels, of which each has its own use for it. An element belongs to the
     !> visit `slot`. In a disc: impact, rotation from one impact to the next, number of rotations.
     !> In a polygon: position, velocity, hits so far.
@@ -89,7 +89,7 @@ contains
 
     visits%count = 0
     visits%many_hits_count = 0
-    visits%wall_starts_count = 0
+    visits%untraceable_count = 0
     if (capacity > visits%capacity) call allocate_visits(visits, capacity)
   end subroutine reserve_visits
 
@@ -109,7 +109,7 @@ contains
       visits%first(n), source=0.5_wp)
     allocate (visits%particle(n), visits%urn(n), visits%slot(n), visits%many_hits_index(n), &
       source=0)
-    allocate (visits%wall_start_index(n))
+    allocate (visits%untraceable_index(n))
     ! Padding lanes of the last group: particles from channel 1, which is never closed.
     allocate (visits%channel(n), source=int(channel1, int64))
   end subroutine allocate_visits

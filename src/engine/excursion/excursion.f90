@@ -135,7 +135,7 @@ module battery_excursion
     integer, allocatable :: resumed(:)
     !> Their next parts.
     type(visits_type) :: partial_visits
-    !> Start of each long visit, and of those that start on the wall; if channel 2 has discs,
+    !> Start of each long visit, and of those that cannot be traced back; if channel 2 has discs,
     !> `scatterer_visits` holds the start of every visit.
     type(long_visits_type) :: long_visits
     !> Start of the latest passage of each particle through a polygon, (`start_words`, particle);
@@ -246,7 +246,7 @@ contains
           associate (v => self%visits(b))
             do j = 1, v%count
               if (.not. (is_long_visit(self%long_visits%least, v%channel(j), v%length(j)) &
-                .or. any(v%wall_start_index(:v%wall_starts_count) == j))) cycle
+                .or. any(v%untraceable_index(:v%untraceable_count) == j))) cycle
               i = v%particle(j)
               call set_flight_to_visit_start(self%table, particles%x(i), particles%y(i), &
                 particles%ux(i), particles%uy(i), self%flight(i), v%hits(j))
@@ -296,13 +296,13 @@ contains
   end subroutine compute_urn_passages
 
   !> Writes the flights in which the visits of batch `b` end to the flights of their particles, and
-  !> the starts of those that are long, or start on the wall, to `long_visits`.
+  !> the starts of those that are long, or cannot be traced back, to `long_visits`.
   subroutine store_batch_flights(self, b)
     type(excursion_type), intent(inout) :: self
     integer, intent(in) :: b
 
     associate (v => self%visits(b))
-      if (v%many_hits_count + v%wall_starts_count > 0) call store_visit_starts(self%long_visits, &
+      if (v%many_hits_count + v%untraceable_count > 0) call store_visit_starts(self%long_visits, &
         self%number, self%flight, v)
       call store_flights(self%number, self%flight, v%count, v%particle, v%urn, v%channel, v%time, &
         v%length, v%y, v%u_axial, v%u_lateral, v%through)

@@ -123,7 +123,7 @@ contains
     if (visit_start%next_event == partial_visit) passage = 0.0_wp
   end function passage_before
 
-  !> Stores the starts of the visits of a batch that are long, or start on the wall, before
+  !> Stores the starts of the visits of a batch that are long, or cannot be traced back, before
   !> `store_flights` overwrites the flights.
   pure subroutine store_visit_starts(visits, number, flight, batch)
     !> Updated with the starts.
@@ -137,12 +137,12 @@ contains
     type(visits_type), intent(in) :: batch
     integer :: i, j, k, listed
 
-    listed = batch%many_hits_count + batch%wall_starts_count
+    listed = batch%many_hits_count + batch%untraceable_count
     do k = 1, listed
-      if (k <= batch%wall_starts_count) then
-        j = batch%wall_start_index(k)
+      if (k <= batch%untraceable_count) then
+        j = batch%untraceable_index(k)
       else
-        j = batch%many_hits_index(k - batch%wall_starts_count)
+        j = batch%many_hits_index(k - batch%untraceable_count)
         if (.not. is_long_visit(visits%least, batch%channel(j), batch%length(j))) cycle
       end if
       ! Allocates for the whole batch, before its first start is stored: a start that has just been

@@ -27,8 +27,8 @@ module battery_precomputed_visits
   !> A precomputed visit: its particle, and what `compute_passages` yields of it.
   type :: precomputed_visit_type
     integer :: particle = 0
-    !> Whether it is on the list `wall_start_index`.
-    logical :: starts_on_wall = .false.
+    !> Whether it is on the list `untraceable_index`.
+    logical :: is_untraceable = .false.
     integer(int64) :: channel = 0
     real(wp) :: time = 0.0_wp, length = 0.0_wp, y = 0.0_wp, u_axial = 0.0_wp, u_lateral = 0.0_wp, &
       through = 0.0_wp, hits = 0.0_wp
@@ -99,9 +99,9 @@ contains
           visits%u_lateral(j) = known%u_lateral
           visits%through(j) = known%through
           visits%hits(j) = known%hits
-          if (known%starts_on_wall) then
-            visits%wall_starts_count = visits%wall_starts_count + 1
-            visits%wall_start_index(visits%wall_starts_count) = j
+          if (known%is_untraceable) then
+            visits%untraceable_count = visits%untraceable_count + 1
+            visits%untraceable_index(visits%untraceable_count) = j
           end if
           computed_hits = computed_hits + int(known%hits, int64)
           if (urn%truncates_passages) passage_starts(:, visits%particle(j)) = &
@@ -141,7 +141,7 @@ contains
         computed_hits = computed_hits - int(visits%hits(j), int64)
       end do
       visits%count = started
-      if (visits%wall_starts_count > 0) call mark_wall_starts(visits, flight, precomputed)
+      if (visits%untraceable_count > 0) call mark_untraceable(visits, flight, precomputed)
     end if
     visits%many_hits_count = 0
     do j = 1, started
@@ -153,26 +153,26 @@ contains
     end do
   end subroutine take_or_compute_visits
 
-  !> Marks those of the visits just stored whose passages start on the wall, and takes them off the
-  !> list of the visits that begin now.
-  pure subroutine mark_wall_starts(visits, flight, precomputed)
+  !> Marks those of the visits just stored that cannot be traced back to their start, and takes them
+  !> off the list of the visits that begin now.
+  pure subroutine mark_untraceable(visits, flight, precomputed)
     type(visits_type), intent(inout) :: visits
     type(flight_type), intent(in) :: flight(:)
     type(precomputed_visits_type), intent(inout) :: precomputed
     integer :: j, k, kept
 
     kept = 0
-    do k = 1, visits%wall_starts_count
-      j = visits%wall_start_index(k)
+    do k = 1, visits%untraceable_count
+      j = visits%untraceable_index(k)
       if (j > visits%count) then
-        precomputed%visit(flight(visits%particle(j))%precomputed_slot)%starts_on_wall = .true.
+        precomputed%visit(flight(visits%particle(j))%precomputed_slot)%is_untraceable = .true.
       else
         kept = kept + 1
-        visits%wall_start_index(kept) = j
+        visits%untraceable_index(kept) = j
       end if
     end do
-    visits%wall_starts_count = kept
-  end subroutine mark_wall_starts
+    visits%untraceable_count = kept
+  end subroutine mark_untraceable
 
   !> Slot that is written after a given one.
   elemental integer function slot_after(slot)
