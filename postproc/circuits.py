@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     Floats = NDArray[np.float64]
 
 PAPERS = "window"
+FINEST = 2.0**-40  # least width over the longest length, as in the program
 
 
 @dataclass(frozen=True)
@@ -255,13 +256,14 @@ class Circuit:
                            for radius in _both(self.urn_radius)
                            for outline in self._outlines())  # fmt: skip
             below = f"below 2r = {diameter:g}" if corners is None else f"below {diameter:g}"
-            width1, width2 = self.channel1_width, self.channel2_width
-            rules += [
-                ("channel1_width", _is_length(width1) and width1 < diameter,
-                 f"one number above 0 and {below}"),
-                ("channel2_width", width2 == 0 or (_is_length(width2) and width2 < diameter),
-                 f"one number from 0 up and {below}"),
-            ]  # fmt: skip
+            least = FINEST * max(diameter, self.channel1_length)
+            for key, value, zero in (
+                ("channel1_width", self.channel1_width, ""),
+                ("channel2_width", self.channel2_width, "0, or "),
+            ):
+                fits = _is_length(value) and least <= value < diameter
+                rules.append((key, fits or bool(zero and value == 0),
+                              f"{zero}one number from {least:.1e} up and {below}"))  # fmt: skip
         return [f"{key} = {given[key]}; allowed: {allowed}"
                 for key, good, allowed in rules if not good]  # fmt: skip
 

@@ -21,8 +21,14 @@ if TYPE_CHECKING:
 EXIT_BAD_INPUT = 2
 # The reader of a pipe, such as `head`, has enough: the exit of a program that SIGPIPE ended.
 EXIT_CLOSED_PIPE = 141
-HDF5_SIGNATURE = b"\x89HDF\r\n\x1a\n"
-NAMELIST_BEGIN = re.compile(rb"(\xef\xbb\xbf)?(\s|![^\n]*\n)*&\w")
+BEGINNINGS = {  # of the files that are written, by kind
+    "namelist": re.compile(rb"(\xef\xbb\xbf)?(\s|![^\n]*\n)*&\w"),
+    "HTML page": re.compile(rb"\s*<!DOCTYPE html", re.IGNORECASE),
+    "PNG file": re.compile(rb"\x89PNG"),
+    "PDF file": re.compile(rb"%PDF"),
+    "GIF file": re.compile(rb"GIF8"),
+    "film": re.compile(rb".{4}ftyp|\x1aE\xdf\xa3", re.DOTALL),  # MP4 and MOV, or MKV
+}
 COMMAND = "battery-postproc"  # all commands as one, where the package is installed
 
 
@@ -118,20 +124,19 @@ def existing_file(path: Path) -> Path:
     return path
 
 
-def file_to_write(path: Path, *, namelist: bool = False) -> Path:
-    """Return `path`, at which a file is to be written: no results file, and no namelist.
+def file_to_write(path: Path, kind: str) -> Path:
+    """Return `path`, at which a file of a kind of `BEGINNINGS` is to be written.
 
-    `namelist`: a namelist is written, which may replace another.
+    A file that is there must be empty or of this kind.
     """
-    if not path.is_file():
-        return path
-    with path.open("rb") as file:
-        head = file.read(4096)
-    what = "a results file" if head.startswith(HDF5_SIGNATURE) else ""
-    if NAMELIST_BEGIN.match(head) and not namelist:
-        what = "a namelist"
-    if what:
-        raise InputError(f"{path}: is {what}, and is not replaced; name another file, or remove it")
+    if path.is_dir():
+        raise InputError(f"{path}: is a folder, not a file")
+    if path.is_file():
+        with path.open("rb") as file:
+            head = file.read(4096)
+        if head and not BEGINNINGS[kind].match(head):
+            told = f"is no {kind}, and is not replaced; name another file, or remove it"
+            raise InputError(f"{path}: {told}")
     return path
 
 

@@ -99,7 +99,7 @@ def write_namelist(
     """
     if not isinstance(groups, Mapping):
         raise InputError(f"groups = {groups!r}: must be values by group and key")
-    place = None if file is None else file_to_write(path_of(file, "file"), namelist=True)
+    place = None if file is None else file_to_write(path_of(file, "file"), "namelist")
     checked: dict[str, dict[str, object]] = {}
     problems: list[str] = []
     known = _keys(find_program(program))

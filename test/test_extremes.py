@@ -293,7 +293,7 @@ def test_who_starts_at_the_mouth_of_a_channel_into_its_wall_hits_it(tmp_path: Pa
     assert hits[0] >= len(starts)
 
 
-@pytest.mark.parametrize("width", [0.3, 0.01, 1e-6])
+@pytest.mark.parametrize("width", [0.3, 0.01, 1e-6, 1.999999999998])
 @pytest.mark.parametrize("speed", [1e-3, 1e-6, 1e-8, 1e-10])
 def test_a_slow_particle_in_a_channel_is_located_before_it_enters_the_urn(
     tmp_path: Path, width: float, speed: float

@@ -153,7 +153,7 @@ def test_ranks_that_nothing_waits_for_are_refused(tmp_path: Path) -> None:
 def test_a_namelist_replaces_a_namelist_but_no_results(tmp_path: Path) -> None:
     results = postproc.run(CASE, folder=tmp_path, quiet=True)
     before = results.read_bytes()
-    with pytest.raises(ValueError, match="is a results file, and is not replaced"):
+    with pytest.raises(ValueError, match="is no namelist, and is not replaced"):
         postproc.write_namelist(results, CASE)
     assert results.read_bytes() == before
     for _ in range(2):
@@ -207,7 +207,7 @@ def test_a_place_that_cannot_be_written_to_is_named(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     with pytest.raises(ValueError, match=r"cannot make folder .*file: File exists"):
         postproc.run(CASE, folder=tmp_path / "file")
-    with pytest.raises(ValueError, match="Is a directory"):
+    with pytest.raises(ValueError, match="is a folder, not a file"):
         postproc.write_namelist(tmp_path, CASE)
 
 

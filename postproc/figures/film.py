@@ -333,7 +333,8 @@ def film(
     if not joined(scenes.times):
         told = f"snapshots more than {CLOSE} apart follow each other without flight"
         print(f"{files_of(points)}: {told}", file=sys.stderr)
-    path = cli.file_to_write(cli.path_of(file, "file"))
+    path = cli.path_of(file, "file")
+    cli.file_to_write(path, "GIF file" if path.suffix == ".gif" else "film")
     cli.output_folder(path.parent)
     write(scenes, seconds, path)
     return path

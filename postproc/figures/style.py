@@ -162,7 +162,9 @@ def note(axes: Axes, text: str) -> None:
 def save(made: Figure, folder: Path, name: str) -> list[Path]:
     """Write `name`.png and `name`.pdf into `folder`, print and return their paths."""
     output_folder(folder)
-    paths = [file_to_write(folder / f"{name}.{kind}") for kind in ("png", "pdf")]
+    paths = [
+        file_to_write(folder / f"{name}.{kind.lower()}", f"{kind} file") for kind in ("PNG", "PDF")
+    ]
     try:
         made.savefig(paths[0], dpi=RESOLUTION, metadata={"Software": None})
         made.savefig(paths[1], metadata={"CreationDate": None})

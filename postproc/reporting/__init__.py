@@ -44,7 +44,8 @@ def report(
     """
     points = by_point(dataset_of(results, verify=verify))
     name = points.attrs["files"][0].rpartition("/")[2].removesuffix(".h5")
-    path = cli.file_to_write(cli.path_of(f"{name}.html" if file is None else file, "file"))
+    path = cli.path_of(f"{name}.html" if file is None else file, "file")
+    cli.file_to_write(path, "HTML page")
     models = default(points) if theory is None else asked(points, theory)
     page = cli.extra("report", "postproc.reporting.page").page
     text = page(points, {one.name: one for one in models})

@@ -67,8 +67,9 @@ def test_lines_of_transition_go_through_the_widths() -> None:
     ("given", "message"),
     [
         ({"threshold": -3}, "threshold = -3; allowed: one whole number from 0 up, or two"),
-        ({"channel2_width": 2.5}, "channel2_width = 2.5; allowed: one number from 0 up and below"),
-        ({"urn_radius": (1.0, 0.1)}, "channel1_width = 0.3; allowed: one number above 0 and below"),
+        ({"channel2_width": 2.5}, "channel2_width = 2.5; allowed: 0, or one number from 1.8e-12"),
+        ({"urn_radius": (1.0, 0.1)}, "channel1_width = 0.3; allowed: one number from 9.1e-13"),
+        ({"channel1_width": 1e-320}, "channel1_width = 1e-320; allowed: one number from 1.8"),
         ({"number": 1.5, "urn_sides": 5}, "urn_sides = 5; allowed: even numbers from 4 up"),
     ],
 )

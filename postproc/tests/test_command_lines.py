@@ -57,26 +57,19 @@ def test_no_whole_file(
 
 
 @pytest.mark.parametrize(
-    ("words", "written"),
-    [
-        (["plot", "scene", "run.html"], "run_scene.png"),
-        (["report", "run.html"], "run.html"),
-    ],
+    ("words", "written"), [(["plot", "scene"], "run_scene.png"), (["report"], "run.html")]
 )
-@pytest.mark.parametrize("before", ["results", "a namelist"])
+@pytest.mark.parametrize("before", [b"", b"! mine\n&particles number = 3 /\n", b"what I saw\n"])
 def test_no_file_of_another_kind_is_replaced(
-    files: Path, tmp_path: Path, words: list[str], written: str, before: str,
+    files: Path, tmp_path: Path, words: list[str], written: str, before: bytes,
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch,
 ) -> None:  # fmt: skip
-    """Results are not, and no namelist: a picture, a report or a table may have their name."""
+    """Results (b"") are not, no namelist, no text: a picture or a report may have their name."""
     monkeypatch.chdir(tmp_path)
-    Path("run.html").write_bytes((files / "whole.h5").read_bytes())
-    if before == "results":
-        Path(written).write_bytes(Path("run.html").read_bytes())
-    elif written != "run.html":
-        Path(written).write_text("! mine\n&particles number = 3 /\n")
-    there = Path(written).read_bytes()
-    assert call(words[0], words[1:]) == 2
+    Path("run.h5").write_bytes((files / "whole.h5").read_bytes())
+    there = before or Path("run.h5").read_bytes()
+    Path(written).write_bytes(there)
+    assert call(words[0], [*words[1:], "run.h5"]) == 2
     assert "and is not replaced" in capsys.readouterr().err
     assert Path(written).read_bytes() == there
 

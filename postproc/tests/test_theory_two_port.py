@@ -319,12 +319,12 @@ def test_nothing_circulates_where_all_is_filled_evenly(share: float) -> None:
 
 
 def test_shifts_that_are_listed_change_only_the_error(monkeypatch: pytest.MonkeyPatch) -> None:
-    narrow, found = replace(PAPER, channel1_width=1e-3, channel2_width=0.1), []
-    at, urns = two_port.balance(narrow, 900.0), [ports.disc(narrow)] * 2
+    long, found = replace(PAPER, channel1_length=20.0, channel2_width=0.1), []
+    at, urns = two_port.balance(long, 900.0), [ports.disc(long)] * 2
     for most in (300, 3):
         monkeypatch.setattr(circulation, "MOST_TURNS", most)
         flows = at.entries[:, 0], at.across[:, 0]
-        found.append([float(one) for one in circulation.circulating(narrow, urns, *flows)])
+        found.append([float(one) for one in circulation.circulating(long, urns, *flows)])
     currents, errors = np.array(found).T
     assert currents[0] != currents[1]
     assert abs(currents[1] - currents[0]) < 4.0 * np.hypot(*errors)

@@ -63,7 +63,7 @@ SAMPLES = 2**16  # particles that are put into channel 2 from each urn
 GROUPS = 16  # of particles, whose scatter gives the error
 FIRST = 1  # seed of the particles that are always the same
 PARTS = 6  # of w': fractions by which a round shifts long-lived particles
-MOST_TURNS = 300  # of reflections a round whose shifts are listed, where channel 1 is far narrower
+MOST_TURNS = 300  # of reflections a round whose shifts are listed, where channel 1 is long
 NEAR = (3e-4, 0.3)  # of w' per round: distances to such shifts at which slopes are drawn
 ROUNDS = 512  # for which they are followed
 LATE = 64  # rounds from which the 1/m law is used
@@ -312,7 +312,8 @@ def circulating(
     """Return the current of channel 2 from urn 2 to urn 1 by straight passages, at each age.
 
     Without the part that `two_port` includes already; and its standard error, from the scatter of
-    groups of the particles that are drawn.
+    groups of the particles that are drawn. Zero unless channel 2 is the narrower one: the effect of
+    a source is derived for urns that an opening does not empty.
 
     Parameters
     ----------
@@ -321,7 +322,7 @@ def circulating(
     age : age of the run, of any shape: orbits of more rounds than fit into it are not filled yet.
     seed : of the particles drawn.
     """
-    if float(circuit.channel2_width) == 0.0:
+    if not 0.0 < float(circuit.channel2_width) < float(circuit.channel1_width):
         return np.zeros(np.shape(age)), np.zeros(np.shape(age))
     own = np.asarray(entries, float), np.asarray(across, float)
     return carried(followed(circuit, *own, seed=seed), circuit, urns, age)

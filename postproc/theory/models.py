@@ -85,8 +85,8 @@ def named(names: str | Iterable[str], circuits: Iterable[Circuit] = ()) -> tuple
         if refused := next((one for one in map(MODELS[name].refusal, asked) if one), ""):
             able = [one for one in MODELS if not any(map(MODELS[one].refusal, asked))]
             raise InputError(f"{refused}; these apply: {', '.join(able) or 'none'}")
-        found.append(MODELS[name])
-    return tuple(found)
+        found.append(name)
+    return tuple(MODELS[name] for name in dict.fromkeys(found))
 
 
 def ancestry(name: str) -> tuple[str, ...]:

@@ -146,7 +146,7 @@ contains
     type(entry_type), intent(inout) :: entry
     type(findings_type), intent(inout) :: problems
     character(len=:), allocatable :: key, name
-    integer :: line, last_index
+    integer :: line, last_index, before
 
     line = reader%line
     call read_before(reader, verify(reader%text(reader%at:), name_signs), key)
@@ -166,11 +166,12 @@ contains
       return
     end if
     reader%at = reader%at + 1
+    before = problems%count
     call read_values(reader, name, entry%values, problems)
-    entry%refused = last_index /= any_index .and. last_index /= size(entry%values)
-    if (entry%refused) call add_finding(problems, finding_of(line, name &
+    if (last_index /= any_index .and. last_index /= size(entry%values)) call add_finding(problems, finding_of(line, name &
       //': parts of a key cannot be set', 'the whole list, '//displayable_text(key) &
       //' = 1, 2, ... or '//displayable_text(key)//'(1:2) = 1, 2'))
+    entry%refused = problems%count > before
     entry%group = reader%group
     entry%key = key
     entry%line = line

@@ -101,7 +101,7 @@ contains
 
     if (len(path) >= c_longest_path()) return
     final = path//repeat(c_null_char, c_longest_path() - len(path))
-    call set_system_error(c_follow(final, c_longest_path()), 'the link cannot be followed', error)
+    call set_system_error(c_follow(final, c_longest_path()), 'the path cannot be followed', error)
     if (allocated(error)) then
       error%code = exit_bad_input
     else

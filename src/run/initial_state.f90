@@ -190,7 +190,8 @@ contains
     if (maxval(abs(state(3:))) > 0.5_wp*huge(1.0_wp)) then
       problem = 'has a speed that is not finite; allowed: any above 0'
     else if (.not. hypot(state(3), state(4)) > tiny(1.0_wp)) then
-      problem = 'has the speed '//to_text(hypot(state(3), state(4)))//'; allowed: any above 0'
+      problem = 'has the speed '//to_text(hypot(state(3), state(4)))//'; allowed: any above ' &
+        //to_text(tiny(1.0_wp))
     else
       lost = maxval(abs(state(:2))) > far
       ! A final state exactly on a wall may be beyond it by rounding.

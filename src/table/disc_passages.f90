@@ -35,6 +35,10 @@ module battery_disc_passages
   !> error is 2e-12 radii.
   real(wp), parameter :: longest_time = 1.0e4_wp
 
+  !> An opening is nearly as wide as the urn if its chord is nearer to the centre than this, in
+  !> units of the radius.
+  real(wp), parameter :: near_centre = 0.1_wp
+
   !> A velocity points out of an opening if its component along the channel is more than a rounding
   !> error: a particle that moves along the chord reaches the corner.
   real(wp), parameter :: least_u_axial = 4.0_wp*epsilon(1.0_wp)
@@ -422,7 +426,33 @@ contains
       u_lateral(j) = uy
       length(j) = first(j) + 2.0_wp*radius*c(j)*impacts(j) - back
     end do
+    if (min(chord1, chord2) < near_centre*radius) call find_wide_exits(n, disc, c, hit_x, hit_y, &
+      impacts, first, y, u_axial, u_lateral, length)
   end subroutine find_exits
+
+  !> Computes again where a visit leaves through an opening nearly as wide as the urn: with the
+  !> distance from impact to chord as the difference that `find_exits` avoids.
+  pure subroutine find_wide_exits(n, disc, c, hit_x, hit_y, impacts, first, y, u_axial, &
+    u_lateral, length)
+    integer, intent(in) :: n
+    type(disc_type), intent(in) :: disc
+    real(wp), intent(in) :: c(n), hit_x(n), hit_y(n), impacts(n), first(n), u_axial(n), u_lateral(n)
+    real(wp), intent(inout) :: y(n), length(n)
+    real(wp) :: norm, back, height
+    integer :: j, channel
+
+    do j = 1, n
+      channel = merge(channel1, channel2, hit_x(j) > 0.0_wp)
+      if (disc%chord(channel) > near_centre*disc%radius) cycle
+      norm = 1.5_wp - 0.5_wp*(hit_x(j)**2 + hit_y(j)**2)
+      back = (abs(hit_x(j)*norm)*disc%radius - disc%chord(channel))/merge(u_axial(j), 1.0_wp, &
+        u_axial(j) > 0.0_wp)
+      height = disc%radius*hit_y(j)*norm - back*u_lateral(j)
+      y(j) = sign(min(abs(height), (1.0_wp - 2.0_wp*epsilon(1.0_wp))*disc%half_width(channel)), &
+        height)
+      length(j) = first(j) + 2.0_wp*disc%radius*c(j)*impacts(j) - back
+    end do
+  end subroutine find_wide_exits
 
   !> Repairs two rare results. If rounding took an impact beside a corner for one in the opening,
   !> the velocity points into the urn: the corner belongs to the urn, so the visit goes on. If no
