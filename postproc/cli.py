@@ -26,6 +26,7 @@ BEGINNINGS = {  # of the files that are written, by kind
     "HTML page": re.compile(rb"\s*<!DOCTYPE html", re.IGNORECASE),
     "PNG file": re.compile(rb"\x89PNG"),
     "PDF file": re.compile(rb"%PDF"),
+    "JSON file": re.compile(rb"\s*[{\[]"),
     "GIF file": re.compile(rb"GIF8"),
     "film": re.compile(rb".{4}ftyp|\x1aE\xdf\xa3", re.DOTALL),  # MP4 and MOV, or MKV
 }

@@ -168,9 +168,10 @@ contains
     reader%at = reader%at + 1
     before = problems%count
     call read_values(reader, name, entry%values, problems)
-    if (last_index /= any_index .and. last_index /= size(entry%values)) call add_finding(problems, finding_of(line, name &
-      //': parts of a key cannot be set', 'the whole list, '//displayable_text(key) &
-      //' = 1, 2, ... or '//displayable_text(key)//'(1:2) = 1, 2'))
+    if (last_index /= any_index .and. last_index /= size(entry%values)) &
+      call add_finding(problems, finding_of(line, name//': parts of a key cannot be set', &
+        'the whole list, '//displayable_text(key)//' = 1, 2, ... or '//displayable_text(key) &
+        //'(1:2) = 1, 2'))
     entry%refused = problems%count > before
     entry%group = reader%group
     entry%key = key
