@@ -8,9 +8,8 @@ import signal
 from concurrent.futures import ThreadPoolExecutor
 from typing import TYPE_CHECKING
 
-import h5py
-import numpy as np
 import pytest
+from support.partial import PARTIAL, check_true
 from support.program import (
     assert_same,
     contents,
@@ -23,12 +22,9 @@ from support.program import (
     write_case,
 )
 
-from postproc import open_results
-
 if TYPE_CHECKING:
     from pathlib import Path
 
-PARTIAL = "out.h5.partial.h5"
 TASKS = 24
 
 
@@ -49,19 +45,6 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
     write_case(CASE, folder)
     assert run("case.nml", folder=folder, ranks=2).returncode == 0
     return folder / "out.h5"
-
-
-def check_true(partial: Path, whole: Path) -> int:
-    """Compare a partial file with the whole results; return how many tasks it has."""
-    with h5py.File(partial) as one, h5py.File(whole) as other:
-        done = one["task_status"][()] == 0
-        assert one.attrs["status"] == ("complete" if done.all() else "partial")
-        for name in ("chi", "current2", "seed", "series/urn1_number", "final/x", "snapshots/uy"):
-            assert np.array_equal(one[name][()][done], other[name][()][done]), name
-        assert np.isnan(one["chi"][()][~done]).all()
-        assert np.isnan(one["final/x"][()][~done]).all()
-    assert int(open_results(partial)["chi"].notnull().sum()) == done.sum()
-    return int(done.sum())
 
 
 def test_beside_a_run_and_after_its_death_and_then_it_grows(tmp_path: Path, whole: Path) -> None:

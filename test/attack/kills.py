@@ -2,6 +2,7 @@
 
 Each campaign starts an ensemble again and again; ranks, or mpirun, or all of them get signals at
 random times. In the end it is run in peace: its results must be the bits of an undisturbed run.
+Beside half of them `--partial` writes what is finished, all the time: its files must be true.
 
 An `mpirun` of Open MPI whose ranks are all dead may wait for itself for ever (docs/internals.md).
 Such a one is ended by SIGINT as a user would end it, and is counted apart.
@@ -14,8 +15,10 @@ import signal
 import subprocess
 import sys
 import time
+from threading import Event, Thread
 from typing import TYPE_CHECKING
 
+from support.partial import PARTIAL, check_true
 from support.program import descendants, is_program, kill_all, rank_processes, send, start
 
 from .common import PATIENCE, Ended, Outcome, attempt, command_line, ended, unlike
@@ -93,14 +96,36 @@ def disturb(folder: Path, choice: random.Random, outcome: Outcome) -> bool:
     return found.code == 0
 
 
+def look_into(folder: Path, whole: Path, over: Event, outcome: Outcome) -> None:
+    """Write partial files until it is over, and compare them with the whole results."""
+    while not over.is_set():
+        found = attempt("--partial", "case.nml", folder=folder)
+        outcome.tried += 1
+        if wrong := found.wrong({0, 2}):
+            outcome.findings.append(f"--partial: {wrong}")
+        elif found.code == 0:
+            try:
+                check_true(folder / PARTIAL, whole)
+            except (AssertionError, OSError, ValueError) as problem:
+                outcome.findings.append(f"--partial: {problem}")
+        over.wait(0.1)
+
+
 def campaign(folder: Path, choice: random.Random) -> Outcome:
     """Disturb one ensemble until it is complete, or in peace at last."""
-    outcome = Outcome(0)
+    outcome, over = Outcome(0), Event()
     engine = choice.choice(["excursion", "excursion", *ENGINES])
     write(folder, engine)
+    beside = Thread(target=look_into, args=(folder, undisturbed(engine), over, outcome))
+    if choice.random() < 0.5:
+        beside.start()
     for _ in range(choice.randint(1, MOST_STARTS)):
         if disturb(folder, choice, outcome) or outcome.findings:
             break
+    over.set()
+    if beside.ident:
+        beside.join()
+        (folder / PARTIAL).unlink(missing_ok=True)
     # Ranks that outlive their mpirun may still own the output; they end, and it is taken over.
     for _ in range(10):
         found = attempt("case.nml", folder=folder, ranks=choice.choice([0, 1, 2, 3]))
