@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from scipy import integrate
 
+from postproc.cli import InputError
 from postproc.tests.commands import call
 from postproc.theory import direction, fate, ports, two_port
 from postproc.theory.chain import passage_times
@@ -339,7 +340,7 @@ def test_mirror_images_have_the_same_states(thresholds: tuple[int, int], width: 
 
 
 @pytest.mark.parametrize(
-    ("width1", "width2", "measured"), [(0.3, 0.8, 1.5863), (1.0, 1.4, 0.0), (0.1, 0.2, 2.8470)]
+    ("width1", "width2", "measured"), [(0.3, 0.8, 1.5863), (1.0, 1.0, 0.0), (0.1, 0.2, 2.8470)]
 )
 def test_unequal_gates_drive_the_measured_current_through_a_wide_channel_2(
     width1: float, width2: float, measured: float
@@ -348,3 +349,17 @@ def test_unequal_gates_drive_the_measured_current_through_a_wide_channel_2(
     circuit = Circuit(1000, 7, width1, width2, gate2_threshold=3)
     (state,) = direction.stationary_states(circuit)
     assert state.net_current == pytest.approx(measured, rel=0.015, abs=0.01)
+
+
+@pytest.mark.parametrize(
+    ("circuit", "message"),
+    [
+        (Circuit(1000, 7, channel2_width=1.7), "it knows widths of channel 2 up to 1, the radius"),
+        (Circuit(3, 2, 1.99, 1.55e-4, channel1_length=90.0), "need 4 particles or more"),
+        (Circuit(17, 12, 1.99, 0.06, channel1_length=218.5), "knows no lifetimes"),
+    ],
+)
+def test_where_it_does_not_hold_it_says_so(circuit: Circuit, message: str) -> None:
+    """Beyond the radius channel 2 empties the urns, and N2 no longer gives the flows."""
+    with pytest.raises(InputError, match=message):
+        MODELS["direction"].lifetimes(circuit)

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy import interpolate
 
+from postproc.cli import InputError
 from postproc.theory.circuit import flow1, flow2, log_outflow
 from postproc.theory.states import WELL_MIXED
 
@@ -25,6 +26,8 @@ if TYPE_CHECKING:
     from postproc.theory.states import Theory
 
     Floats = NDArray[np.float64]
+
+FEWEST = 4  # particles of a chain with lifetimes
 
 
 @dataclass(frozen=True)
@@ -120,8 +123,11 @@ def _of_chain(up: Floats, down: Floats) -> Callable[[int, int], float]:
 def lifetimes(circuit: Circuit, theory: Theory = WELL_MIXED) -> Lifetimes:
     """Return the lifetimes of the homogeneous and of the (outermost) polarised state.
 
-    For circuits with equal urns and gates.
+    For circuits with equal urns and gates, and four particles or more (`InputError`): with fewer
+    there is no state between the two.
     """
+    if circuit.number < FEWEST:
+        raise InputError(f"lifetimes need {FEWEST} particles or more")
     states = theory.states(circuit)
     polarised = [state for state in states if state.kind == "stable"]
     homogeneous = theory.homogeneous_kind(circuit) != "unstable"

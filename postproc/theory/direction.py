@@ -393,8 +393,9 @@ def _held_states(circuit: Circuit) -> tuple[tuple[Held, str], ...]:
 
         optimize.brentq(excess, other, one, xtol=1e-5)
         found.append((latest[0], "stable" if before > 0.0 else "unstable"))
-    if circuit.alike and _excess(there) > 0.0:  # all that channel 2 does not bring is in one urn
-        found.append((there, "stable"))
+    last = scan(circuit)[-1][1]
+    if circuit.alike and _excess(last) > 0.0:  # all that channel 2 does not bring is in one urn
+        found.append((last, "stable"))
     return tuple(found)
 
 

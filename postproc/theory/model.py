@@ -74,6 +74,7 @@ class Model:
         line of eq. (transition), a tricritical point, and applies to the single urn.
     extras : further output.
     aged : whether its net current depends on the age of the run, `Circuit.age`.
+    widest : largest w'/r at which it applies.
     """
 
     name: str
@@ -91,6 +92,7 @@ class Model:
     mixed: bool = False
     extras: Callable[[Circuit], dict[str, object]] = _no_extras
     aged: bool = False
+    widest: float = math.inf
 
     @property
     def has_rates(self) -> bool:
@@ -122,6 +124,9 @@ class Model:
             return f"theory {self.name}: it needs two equal urns and gates"
         if circuit.outline is not None and not self.mixed:
             return f"theory {self.name}: it knows urns that are discs only, these are polygons"
+        most = self.widest * min(float(side.urn_radius) for side in circuit.sides)
+        if np.any(np.greater(circuit.channel2_width, most)):
+            return f"theory {self.name}: it knows widths of channel 2 up to {most:g}, the radius"
         return ""
 
     def of(self, circuit: Circuit) -> Circuit:

@@ -53,7 +53,7 @@ DECLARED = (
         "direction", "directions", "exact gates, memory of the opening and direction of entry",
         "chi, currents and transitions alike; lifetimes", 1.0, "-", "X", "violet", "renewal",
         {"gate": RENEWAL, "occupation": True}, _DIRECTIONS, _DIRECTIONS, extras=_of_ports,
-        aged=True,
+        aged=True, widest=1.0,
     ),
 )  # fmt: skip
 MODELS = {model.name: model for model in DECLARED}

@@ -22,6 +22,7 @@ import numpy as np
 from scipy import interpolate, sparse
 from scipy.sparse import linalg
 
+from postproc.cli import InputError
 from postproc.progress import each
 from postproc.theory import direction, fate
 
@@ -111,10 +112,12 @@ def settling(circuit: Circuit) -> Settling:
     held = [one for _, one in direction.scan(circuit)]
     circuits = [*(_mirrored(one) for one in held[::-1]), equations.held(0.5), *held]
     chosen = circuits[len(held) % 2 :: 2]  # the even one among them, and the ends or nearly so
+    second, settled = (np.array([one.in_half[1] for one in few]) for few in (circuits, chosen))
+    if np.any(np.diff(second) <= 0.0):
+        raise InputError(f"theory direction: it knows no lifetimes of {circuit.brief}")
     half = np.array([[_sent(equations, one, other) for other in chosen]
                      for one in each(circuits, "what is sent, share")])  # fmt: skip
     sent = np.stack([half, half[::-1, ::-1]], axis=2)
-    second, settled = (np.array([one.in_half[1] for one in few]) for few in (circuits, chosen))
     time = _time(equations, circuits[len(held)])
     return Settling(int(circuit.number), second, settled, sent, time)
 
