@@ -355,8 +355,8 @@ def test_unequal_gates_drive_the_measured_current_through_a_wide_channel_2(
     ("circuit", "message"),
     [
         (Circuit(1000, 7, channel2_width=1.7), "it knows widths of channel 2 up to 1, the radius"),
+        (Circuit(100, 3, 1.0, 1.0, channel2_length=7.0), "it finds no flows between the urns"),
         (Circuit(3, 2, 1.99, 1.55e-4, channel1_length=90.0), "need 4 particles or more"),
-        (Circuit(17, 12, 1.99, 0.06, channel1_length=218.5), "knows no lifetimes"),
     ],
 )
 def test_where_it_does_not_hold_it_says_so(circuit: Circuit, message: str) -> None:

@@ -218,6 +218,10 @@ class Directions:
         half = 0.5 * float(circuit.channel1_length)
         self.stays = half / np.sqrt((1.0 - self.sine) * (1.0 + self.sine))
 
+    def allow(self, held: Held) -> bool:
+        """Whether flows are possible and, of equal circuits, the fuller urn 2 feeds channel 2."""
+        return held.possible and (not self.circuit.alike or held.net_current >= 0.0)
+
     def held(self, share: float, start: Held | None = None) -> Held:
         """Return the circuit held with N particles, given urn 1's share of those in urns.
 
@@ -324,8 +328,12 @@ def scan(circuit: Circuit) -> tuple[tuple[float, Held], ...]:
         above = [(1.0 - share, held) for share, held in _emptied(equations, 1)]
         found = [*reversed(above), *found]
     if not found:
-        raise InputError(f"theory direction: it finds no flows between the urns, {circuit.brief}")
+        raise _no_flows(circuit)
     return tuple(found)
+
+
+def _no_flows(circuit: Circuit) -> InputError:
+    return InputError(f"theory direction: it finds no flows between the urns, {circuit.brief}")
 
 
 def _emptied(equations: Directions, urn: int) -> list[tuple[float, Held]]:
@@ -336,7 +344,7 @@ def _emptied(equations: Directions, urn: int) -> list[tuple[float, Held]]:
         while shares and (tries < NEARER or (tries < NEAREST and _excess(found[-1][1], urn) > 0.0)):
             share1 = shares[0] if urn == 0 else 1.0 - shares[0]
             held = equations.held(share1, found[-1][1] if found else None)
-            if held.possible:
+            if equations.allow(held):
                 found.append((shares.pop(0), held))
             elif found:
                 shares, tries = [0.5 * (found[-1][0] + shares[0])], tries + 1
@@ -351,7 +359,11 @@ def _emptied(equations: Directions, urn: int) -> list[tuple[float, Held]]:
 
 def growth(circuit: Circuit) -> float:
     """Return a number with the sign of the growth of a small difference between equal urns."""
-    return _excess(Directions(circuit).held(0.5 * (1.0 - NEXT_TO_EQUAL)))
+    equations = Directions(circuit)
+    held = equations.held(0.5 * (1.0 - NEXT_TO_EQUAL))
+    if not equations.allow(held):
+        raise _no_flows(circuit)
+    return _excess(held)
 
 
 def homogeneous_kind(circuit: Circuit) -> str:
