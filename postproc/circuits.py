@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     Floats = NDArray[np.float64]
 
 PAPERS = "window"
+MOST_SIDES = 1000  # of regular polygons, as in the program
 FINEST = 2.0**-40  # least width over the longest length, as in the program
 
 
@@ -133,6 +134,8 @@ class Circuit:
             0 to N are searched. `kind` is "stable" or "unstable" ("neutral": nothing flows),
             `mass_spread` is chi, `net_current` that of channel 1 from urn 1 to urn 2.
         """
+        if not (isinstance(age, (int, float, np.number)) and age >= 0.0):
+            raise InputError(f"age = {age}; allowed: one number from 0 up")
         (known,), own = named(theory), self.model(age)
         found = known.states(own)
         if not known.of(own).alike:  # two gates that never reverse are alike
@@ -243,10 +246,12 @@ class Circuit:
             rules.append((key, len(values) in (1, 2) and all(map(good, values)), allowed))
         corners, sides = self.urn_vertices, self.urn_sides
         rules += [
-            ("urn_vertices", corners is None or (len(corners) % 2 == 0 and len(corners) >= 6),
+            ("urn_vertices", corners is None or (len(corners) % 2 == 0 and len(corners) >= 6
+                                                 and bool(np.all(np.isfinite(corners)))),
              "two numbers for each of three corners or more"),
-            ("urn_sides", sides is None or (_is_whole(sides, 4) and sides % 2 == 0),
-             "even numbers from 4 up"),
+            ("urn_sides", sides is None or (_is_whole(sides, 4) and sides % 2 == 0
+                                            and sides <= MOST_SIDES),
+             f"even numbers from 4 to {MOST_SIDES}"),
             ("urn_sides", sides is None or corners is None, "only without urn_vertices"),
             ("channel1_length", _is_length(self.channel1_length), "one number above 0"),
             ("channel2_length", _is_length(self.channel2_length), "one number above 0"),

@@ -290,6 +290,8 @@ def test_a_theory_of_unlike_gates_has_both(tmp_path: Path) -> None:
     path = results_of(tmp_path, {"channel2_width": "0.01"}, gate={"threshold": "7, 30"},
                       table={"urn_radius": "1, 1.2"}, particles={"number": 1000})  # fmt: skip
     data = postproc.open_results(path, theory="direction")
+    assert data["theory_polarised_current"] > 0.0  # urn 1 is the fuller one
+    assert np.all(data["polarised_current"] > 0.0)
     unlike = Circuit(1000, 7, gate2_threshold=30, urn2_radius=1.2)
     told = describe(unlike, MODELS["direction"])
     best = max(root["mass_spread"] for root in told["roots"] if root["kind"] == "stable")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 import re
 import subprocess
@@ -588,9 +589,12 @@ def test_overwrite(tmp_path: Path) -> None:
 def test_a_file_of_someone_else_is_kept(tmp_path: Path) -> None:
     """A file that is no results file is not replaced, nor discarded with --overwrite."""
     write(tmp_path)
-    (tmp_path / "out.h5").write_text("my notes")
-    for words in ((), ("--overwrite",)):
+    with h5py.File(tmp_path / "mine.h5", "w") as file:
+        file["mine"] = np.arange(10.0)
+    others = (b"my notes", (tmp_path / "mine.h5").read_bytes(), np.arange(1000.0).tobytes())
+    for others_bytes, words in itertools.product(others, ((), ("--overwrite",))):
+        (tmp_path / "out.h5").write_bytes(others_bytes)
         ended = run(*words, "case.nml", folder=tmp_path)
         assert ended.returncode == 2
         assert "out.h5 is not a results file" in ended.stderr
-        assert (tmp_path / "out.h5").read_text() == "my notes"
+        assert (tmp_path / "out.h5").read_bytes() == others_bytes

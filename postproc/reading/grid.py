@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Iterable
 from functools import cache, partial
 from itertools import chain
@@ -140,7 +141,12 @@ def with_theory(data: xr.Dataset, theory: str | Sequence[str] | bool) -> xr.Data
     for at, model in enumerate(models):
         results_of = cache(partial(_of_urn if urn else _of_circuit, model))
         for point, circuit in enumerate(each(circuits, f"states, {model.label}, point")):
-            found[:, at, point] = results_of(circuit, starts[point])
+            try:
+                found[:, at, point] = results_of(circuit, starts[point])
+            except InputError as problem:
+                if theory is not True:
+                    raise
+                warnings.warn(f"left out: {problem}", stacklevel=2)
     axes = [name for name in data["task"].dims if name != "replica"]
     sizes = [data.sizes[name] for name in axes]
     added = {"theory": xr.Variable("theory", [one.name for one in models])}
@@ -170,7 +176,8 @@ def _of_circuit(model: Model, circuit: Circuit, number2: float) -> list[float]:
     state = model.reached(circuit, number2)
     values: list[float | None] = [None] * 3
     if state is not None:
-        values = [state.mass_spread, state.net_current, state.net_current_error]
+        current = state.polarised_current(circuit.number)
+        values = [state.mass_spread, current, state.net_current_error]
     stable = STABLE.get(model.homogeneous_kind(circuit))
     width = model.theory_of(circuit).transition_width(model.of(circuit))
     return [math.nan if one is None else float(one) for one in (*values, stable, width)]

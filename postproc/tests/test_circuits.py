@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import doctest
+import math
 from typing import Any
 
 import numpy as np
@@ -70,13 +71,19 @@ def test_lines_of_transition_go_through_the_widths() -> None:
         ({"channel2_width": 2.5}, "channel2_width = 2.5; allowed: 0, or one number from 1.8e-12"),
         ({"urn_radius": (1.0, 0.1)}, "channel1_width = 0.3; allowed: one number from 9.1e-13"),
         ({"channel1_width": 1e-320}, "channel1_width = 1e-320; allowed: one number from 1.8"),
-        ({"number": 1.5, "urn_sides": 5}, "urn_sides = 5; allowed: even numbers from 4 up"),
+        (
+            {"urn_vertices": (math.nan, -1, 1, 1, -1, 1)},
+            "urn_vertices = (nan, -1, 1, 1, -1",
+        ),
+        ({"number": 1.5, "urn_sides": 5}, "urn_sides = 5; allowed: even numbers from 4 to 1000"),
     ],
 )
 def test_what_is_not_allowed_is_named_with_what_is(given: dict[str, Any], message: str) -> None:
     with pytest.raises(InputError, match="allowed: ") as refused:
         Circuit(**{"number": 1000, "threshold": 7, **given})
     assert message in str(refused.value)
+    with pytest.raises(InputError, match="age = -1; allowed: one number from 0 up"):
+        Circuit(number=1000, threshold=7).states(age=-1)
 
 
 def test_eta_is_drawn_into_given_axes() -> None:

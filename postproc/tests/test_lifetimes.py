@@ -91,6 +91,8 @@ def test_states_that_are_not_there_or_never_left() -> None:
     battery = chain.lifetimes(Circuit(1000, 7))
     assert battery.homogeneous == 0.0
     assert math.isinf(battery.polarised)
+    few = chain.lifetimes(Circuit(4, 1, 1.9, 0.001, channel1_length=60.0))
+    assert few.polarised > 0.0  # though its barrier is nearest to N
 
 
 def test_a_state_that_nothing_leaves_lasts_for_ever() -> None:

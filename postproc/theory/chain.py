@@ -140,14 +140,14 @@ def lifetimes(circuit: Circuit, theory: Theory = WELL_MIXED) -> Lifetimes:
     if not homogeneous:
         barrier = 0.5 * number
     offset, last = (number + 1) // 2, number // 2
-    wall = int(np.clip(round(barrier) - offset, 1, last))
+    wall = int(np.clip(round(barrier) - offset, 1, last - 1))
     far = int(np.clip(round(polarised[-1].urn2_number) - offset, wall + 1, last))
     passage = passages(circuit, theory)
     times = (passage(0, wall) if homogeneous else 0.0, passage(far, wall))
     share = times[1] / sum(times)
     if theory.passages is None:
         weights = np.exp(log_weights(*folded(*log_rates(circuit, theory))))
-        share = float(weights[wall:].sum())
+        share = min(1.0, float(weights[wall:].sum()))
     return Lifetimes(*times, 2.0 * barrier / number - 1.0, share)
 
 

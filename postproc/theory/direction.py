@@ -427,8 +427,15 @@ def around(
 
 
 def stationary_states(circuit: Circuit) -> list[State]:
-    """Return all states of a circuit, for equal urns those with N2 > N/2 (chi above 0.02)."""
+    """Return all states of a circuit, for equal urns those with N2 > N/2 (chi above 0.02).
+
+    Raises `InputError` if of unequal urns or gates the first or the last is not stable: it is not
+    found.
+    """
     number, found = float(circuit.number), []
+    kinds = [kind for _, kind in _held_states(circuit)]
+    if not circuit.alike and {"stable"} != {*kinds[:1], *kinds[-1:]}:
+        raise InputError(f"theory direction: it does not find all states, {circuit.brief}")
     closed = float(circuit.channel2_width) == 0.0  # nothing flows there, what represents it leaks
     for held, kind in _held_states(circuit):
         second = float(held.in_half[1])

@@ -64,6 +64,11 @@ class State:
     net_current_infinite_age: float | None = None
     net_current_error: float | None = None
 
+    def polarised_current(self, number: ArrayLike) -> float:
+        """Return the current of channel 2 from the fuller half to the emptier, of N particles."""
+        fuller = np.greater_equal(2.0 * self.urn2_number, number)
+        return self.net_current if fuller else -self.net_current
+
 
 def stationary_states(circuit: Circuit) -> list[State]:
     """Return all states of a circuit with scalar fields, by increasing N2.

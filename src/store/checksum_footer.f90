@@ -12,7 +12,6 @@ module battery_checksum_footer
   use, intrinsic :: iso_c_binding, only: c_char, c_int, c_int8_t, c_int64_t, c_null_char
   use battery_kinds, only: int8, int64
   use battery_error, only: error_type, fatal_error, exit_bad_input, exit_failure
-  use battery_foreign_bytes, only: is_results_file
   use battery_files, only: is_readable, write_parts, file_stamp_type
   use battery_file_text, only: read_file
   use battery_paths, only: is_folder
@@ -31,6 +30,7 @@ module battery_checksum_footer
 
   !> An attribute that only files of this program have, near their beginning.
   character(len=*), parameter :: mark = 'initial_file_fingerprint'
+  integer, parameter :: beginning = 1024**2
 
   !> Advice about something else that has the name of the results file.
   character(len=*), parameter :: leave_it = '; name another output file, or move it away'
@@ -106,7 +106,6 @@ contains
     logical, intent(out), optional :: lacks_footer
     !> Stamp of the file that was read, also after an error.
     type(file_stamp_type), intent(out), optional :: stamp
-    integer, parameter :: most = 1024**2
     character(len=footer_length) :: footer
     character(len=digest_length) :: digits
     character(len=:), allocatable :: first
@@ -121,14 +120,14 @@ contains
       call fatal_error(error, name//' may not be read'//leave_it, exit_bad_input)
     end if
     if (allocated(error)) return
-    allocate (character(len=most) :: first)
+    allocate (character(len=beginning) :: first)
     bytes = 0
     footer = ''
-    status = c_digest_file(name//c_null_char, int(footer_length, c_int64_t), first, int(most, &
-      c_int64_t), footer, digits, bytes, seen%mark)
+    status = c_digest_file(name//c_null_char, int(footer_length, c_int64_t), first, int( &
+      beginning, c_int64_t), footer, digits, bytes, seen%mark)
     if (present(stamp)) stamp = seen
     content = merge(bytes - footer_length, bytes, bytes > footer_length)
-    if (content < most) first = first(:content)
+    if (content < beginning) first = first(:content)
     if (status < 0) then
       call fatal_error(error, name//' is open in another program, which may change it; ' &
         //'close it there', exit_bad_input)
@@ -152,15 +151,15 @@ contains
     end if
   end subroutine check_footer
 
-  !> Checks that `--overwrite` may remove a file: one that is empty, begins as HDF5 does or with
-  !> zeros, as a crash of the machine leaves it, or ends with a footer. A namelist, for instance,
-  !> stays.
+  !> Checks that `--overwrite` may remove a file: one that is empty, or begins with zeros only, as a
+  !> crash of the machine leaves it, or a results file, whole or not: a namelist, or an HDF5 file of
+  !> another program, stays.
   subroutine check_discardable(name, error)
     !> Path of the file, which need not exist.
     character(len=*), intent(in) :: name
     !> It is something else; code `exit_bad_input`.
     type(error_type), allocatable, intent(out) :: error
-    character(len=8) :: first
+    character(len=:), allocatable :: first
     character(len=footer_length) :: last
     integer(int64) :: bytes
     integer :: unit, status
@@ -169,13 +168,13 @@ contains
       status='old', iostat=status)
     if (status /= 0) return
     inquire (unit, size=bytes)
-    first = repeat(achar(0), len(first))
+    allocate (character(len=min(bytes, int(beginning, int64))) :: first)
     last = ''
-    if (bytes > 0) read (unit, iostat=status) first(:min(bytes, len(first, int64)))
+    if (bytes > 0) read (unit, iostat=status) first
     if (status == 0 .and. bytes > footer_length) &
       read (unit, pos=bytes - footer_length + 1, iostat=status) last
     close (unit)
-    if (status == 0 .and. (.not. is_results_file(first)) .and. verify(first, achar(0)) /= 0 .and. &
+    if (status == 0 .and. index(first, mark) == 0 .and. verify(first, achar(0)) /= 0 .and. &
       index(last, first_line) /= 1) call fatal_error(error, name//' is not a results file, ' &
       //'and is not discarded'//leave_it, exit_bad_input)
   end subroutine check_discardable

@@ -12,7 +12,7 @@ module battery_disc_passages
   use battery_disc, only: disc_type, recompute_grazing_incidence, grazing_cosine
   use battery_rotation, only: turn_of_vector, unit_vector, full_turn
   use battery_opening_search, only: find_opening
-  use battery_visits, only: visits_type, group_size, no_channel, many_hits
+  use battery_visits, only: visits_type, group_size, no_channel, many_hits, longest_time
   implicit none (type, external)
   private
   public :: compute_disc_passages
@@ -28,12 +28,6 @@ module battery_disc_passages
   !> this, in units of the radius, over the square of the cosine of incidence: some times the
   !> rounding error of a path traced back to there, whose chords have the length of that cosine.
   real(wp), parameter :: wall_margin = 1.0e-12_wp
-
-  !> Traced back through chords of the length c (in units of the radius) a velocity has an error of
-  !> epsilon/c**2, and the place in the channel before one that grows with the time spent there. The
-  !> start of a passage is stored where that time exceeds this many times c**2 radii: there the
-  !> error is 2e-12 radii.
-  real(wp), parameter :: longest_time = 1.0e4_wp
 
   !> An opening is nearly as wide as the urn if its chord is nearer to the centre than this, in
   !> units of the radius.
@@ -91,6 +85,7 @@ contains
         visits%zy(j), visits%steps(j))
     end do
     visits%many_hits_count = active
+    call list_many_chords(disc%radius, visits)
     call find_exits(n, disc, visits%c, visits%s, visits%hit_x, visits%hit_y, visits%impacts, &
       visits%first, visits%channel, visits%x, visits%y, visits%u_axial, visits%u_lateral, &
       visits%length, visits%through)
@@ -244,6 +239,22 @@ contains
       visits%py(j) = sign((1.0_wp + 2.0_wp*epsilon(1.0_wp))*disc%half_opening(from), visits%py(j))
     end do
   end subroutine list_untraceable
+
+  !> Lists the passages with many hits that cannot be traced back since their chords are short, or
+  !> the particle was in the channel for long.
+  pure subroutine list_many_chords(radius, visits)
+    real(wp), intent(in) :: radius
+    type(visits_type), intent(inout) :: visits
+    integer :: k, j
+
+    do k = 1, visits%many_hits_count
+      j = visits%many_hits_index(k)
+      if (visits%impacts(j)*max(visits%passage(j), radius) <= longest_time*radius*visits%c(j)) cycle
+      if (any(visits%untraceable_index(:visits%untraceable_count) == j)) cycle
+      visits%untraceable_count = visits%untraceable_count + 1
+      visits%untraceable_index(visits%untraceable_count) = j
+    end do
+  end subroutine list_many_chords
 
   !> Computes `march_steps` impacts of each particle; one whose impact lies in an opening stays
   !> there. All impacts are computed first, as if there were no opening; then the first that lies in

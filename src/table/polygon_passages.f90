@@ -14,7 +14,8 @@ module battery_polygon_passages
   use battery_motion, only: slowest
   use battery_polygon, only: polygon_type, nearest_side, boundary_state_type, state_on_side, &
     has_returned, find_next_side_robustly, reflect_from_side, longest_period
-  use battery_visits, only: visits_type, group_size, no_channel, truncated, many_hits
+  use battery_visits, only: visits_type, group_size, no_channel, truncated, many_hits, &
+    longest_time
   implicit none (type, external)
   private
   public :: compute_polygon_passages, follow_polygon_passage
@@ -26,9 +27,10 @@ module battery_polygon_passages
   integer, parameter :: lanes = 64, at_once = 3
 
   !> A part of a truncated visit is at least `least_part` long, in units of the reach: longer than
-  !> any lookahead; but it has at most `most_part_hits` hits.
+  !> any lookahead. Sides are so far apart (`outline_checks`) that it has fewer hits than
+  !> `most_part_hits`; a particle with more is stuck.
   real(wp), parameter :: least_part = 16.0_wp
-  integer, parameter :: most_part_hits = 1000000
+  integer, parameter :: most_part_hits = 100000000
 
   !> Cosine of the angle to the normal up to which a path runs along a side.
   real(wp), parameter :: grazing = sqrt(epsilon(1.0_wp))
@@ -47,6 +49,7 @@ contains
 
     call list_sides(polygon, padded(polygon), corner, side)
     visits%many_hits_count = 0
+    visits%untraceable_count = 0
     active = visits%count
     n = group_size*((active + group_size - 1)/group_size)
     call load_visits(n, visits%x, visits%y, visits%u_axial, visits%u_lateral, visits%px, &
@@ -365,6 +368,9 @@ contains
     visits%through(mine) = polygon%length(channel)/visits%u_axial(mine)
     visits%hits(mine) = visits%hits(mine) + visits%steps(j)
     if (visits%steps(j) >= many_hits) call list_visit_with_many_hits(visits, mine)
+    if (visits%steps(j)*visits%passage(mine) <= longest_time*polygon%reach) return
+    visits%untraceable_count = visits%untraceable_count + 1
+    visits%untraceable_index(visits%untraceable_count) = mine
   end subroutine store_exit
 
   !> Lists a visit that has ended or was truncated, so that its start is stored if the visit is long

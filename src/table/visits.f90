@@ -7,7 +7,7 @@ module battery_visits
   implicit none (type, external)
   private
   public :: visits_type, reserve_visits, split_visits_by_urn, group_size, no_channel, truncated, &
-    many_hits
+    many_hits, longest_time
 
   !> Number of particles that the kernels process together.
   integer, parameter :: group_size = 4
@@ -22,6 +22,12 @@ module battery_visits
 
   !> Least number of wall hits in the urn that puts a visit on the list `many_hits_index`.
   real(wp), parameter :: many_hits = 112.0_wp
+
+  !> Traced back through chords of the length c (in units of the radius) a velocity has an error of
+  !> epsilon/c**2, or epsilon/c for each of many chords, and the place in the channel before one
+  !> that grows with the time spent there. The start of a passage is stored where that time exceeds
+  !> this many times c**2 radii, or c radii over the number of hits: there the error is 2e-12 radii.
+  real(wp), parameter :: longest_time = 1.0e4_wp
 
   !> A batch of visits; arrays are padded to whole groups of `group_size`.
   type :: visits_type
@@ -63,8 +69,9 @@ module battery_visits
     !> never end, or are truncated, and their indices. The list may contain others too.
     integer :: many_hits_count = 0
     integer, allocatable :: many_hits_index(:)
-    !> The same of the visits whose passage through a disc cannot be traced back to its start, since
-    !> it starts on the wall within rounding, or a slow particle enters it along the wall.
+    !> The same of the visits whose passage through the urn cannot be traced back to its start: it
+    !> starts on the wall of a disc within rounding, or errors of its hits, by rounding, grow with
+    !> the time that a slow particle spends in the channel before.
     integer :: untraceable_count = 0
     integer, allocatable :: untraceable_index(:)
     !> Work space of the kernels, of which each has its own use for it. An element belongs to the

@@ -70,6 +70,8 @@ contains
       if (.not. way_back_meets_corner(urn, flight, now)) return
     end if
     before = flight%time - now - flight%length
+    ! Still in the channel, where the start of the visit gives its place.
+    if (from_start .and. before > 0.0_wp) return
     ! A part of a visit begins where the one before it ends: in that one this particle still is.
     if (now < start(5) .and. start(5) - now > before + urn%reach) return
     call follow_passage(urn, start(1), start(2), start(3), start(4), max(now - start(5), 0.0_wp), &
