@@ -298,3 +298,19 @@ def test_a_theory_of_unlike_gates_has_both(tmp_path: Path) -> None:
     assert data["theory_chi"].item() == best
     assert np.isnan(data["theory_transition_width"])
     assert "theory_chi_error" not in data
+
+
+def test_merged_files_of_other_lengths_have_their_events_and_one_axis(tmp_path: Path) -> None:
+    """A figure goes as far as the shortest run, and pairs what was at the same time."""
+    files = []
+    for seed, duration in ((1, 20.0), (2, 60.0)):
+        groups = {"particles": {"number": 20, "seed": seed}, "gate": {"threshold": 2},
+                  "run": {"duration": duration},
+                  "output": {"file": f"{seed}.h5", "event_log": True,
+                             "series_interval": 0.5 * seed}}  # fmt: skip
+        files.append(postproc.run(groups, folder=tmp_path, quiet=True))
+    both, alone = postproc.merge(files), [postproc.open_results(one) for one in files]
+    lengths = [one.events.sizes["event"] for one in alone]
+    assert both.events["time"].notnull().sum("event").values.tolist() == lengths
+    (line,) = postproc.plot.relaxation(both)
+    assert 15.0 < line.get_xdata()[-1] < 20.0

@@ -242,6 +242,19 @@ def test_who_goes_to_and_fro_between_a_disc_and_an_urn_does_not_hang_the_run(
     assert found["excursion"][0] > 40
 
 
+def test_hits_in_channel_1_before_a_visit_to_discs_are_counted_once(tmp_path: Path) -> None:
+    """However many they are: this particle has 1e6 of them in a unit of time."""
+    table = {"channel1_width": "1e-6", "channel2_width": "0.3", "scatterers": "0.2, 0, 0.05"}
+    (tmp_path / "i.txt").write_text("0 0 -0.28 0.96\n")
+    name = write(
+        tmp_path, "many", table, run={"engine": "'excursion'", "duration": "1"},
+        particles={"number": "1", "initial_file": "'i.txt'"}, gate={"threshold": "5"},
+    )  # fmt: skip
+    assert run(name, folder=tmp_path).returncode == 0
+    with h5py.File(tmp_path / "many.h5") as file:
+        assert file["collisions"][0, 0] == 960000
+
+
 @pytest.mark.parametrize("engine", ["excursion", "collision"])
 @pytest.mark.parametrize("side", [1, -1])
 def test_who_glides_along_a_wall_of_channel_2_stays_there(

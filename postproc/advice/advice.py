@@ -85,6 +85,7 @@ class Pilot:
     seconds : processor time of the whole pilot.
     thresholds : T of the runs, for a transition.
     lacking : by how much the value is too small since the run is young, by theory.
+    chi : mean of chi, which tells the state of a theory that is compared.
     """
 
     value: float
@@ -96,6 +97,7 @@ class Pilot:
     seconds: float
     thresholds: list[int] | None = None
     lacking: float = 0.0
+    chi: float = math.nan
 
     @property
     def error(self) -> float:
@@ -289,7 +291,7 @@ def pilot(
         lacking = float(transients.missing(circuit, float(outcome.chi[0]), of_this, measured))
     per_time = outcome.seconds / (REPLICAS * (of_this + measured))
     return Pilot(outcome.value, outcome.scatter, around, of_this, measured, per_time, seconds,
-                 thresholds, lacking)  # fmt: skip
+                 thresholds, lacking, float(outcome.chi[0]))  # fmt: skip
 
 
 def transient_of(circuit: Circuit, quantity: str, tolerance: float, outcome: Outcome) -> float:
@@ -380,13 +382,15 @@ def theory_says(
         value = transition_of(circuit, model)
         return value, time.process_time() - began
     stable = model.solve_stable(circuit)
-    if stable and spread is not None:
+    if stable and spread is not None and math.isfinite(spread):
         state = min(stable, key=lambda one: abs(one.mass_spread - spread))
     elif stable:
         state = max(stable, key=lambda one: one.mass_spread)
     else:
         return math.nan, time.process_time() - began
-    value = state.mass_spread if quantity == "chi" else abs(state.net_current)
+    value = state.mass_spread
+    if quantity == "polarised_current":
+        value = state.polarised_current(circuit.number)
     return value, time.process_time() - began
 
 
@@ -499,7 +503,7 @@ def _theory_within(
     least = model.seconds * (SCAN if quantity == "transition" else 1.0)
     if least >= longest or model.refusal(circuit):
         return math.nan, math.inf
-    spread = found.value if quantity == "chi" else None
+    spread = found.value if quantity == "chi" else found.chi
     with doing(f"theory {model.name}"):
         return theory_says(circuit, model, quantity, spread)
 

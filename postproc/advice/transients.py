@@ -71,7 +71,8 @@ def missing(circuit: Circuit, chi: float, transients: Floats, measured: Floats) 
     ----------
     chi : mass spread of the state, urn 2 the fuller one.
     """
-    if float(circuit.channel2_width) == 0.0:
+    narrower = 0.0 < float(circuit.channel2_width) < float(circuit.channel1_width)
+    if MODELS["direction"].refusal(circuit) or not narrower:
         return np.zeros(np.shape(transients))
     lacking = _lacking(MODELS["direction"].of(circuit), chi)
     start = np.asarray(transients, float)

@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import sys
 
 from postproc import cli
 from postproc.commands.circuit_options import beside, circuit_options, given_circuit, given_models
@@ -40,17 +39,10 @@ def main(arguments: list[str] | None = None) -> int:
         if getattr(given, option) and not any(getattr(one, able) for one in models):
             known = " or ".join(name for name, one in MODELS.items() if getattr(one, able))
             raise cli.InputError(f"--{option} is of --theory {known}")
-    answers, able = [], []
+    answers = []
     for model in models:
-        try:
-            with doing(f"theory {model.name}"):
-                answers.append(describe(circuit, model))
-        except cli.InputError as problem:
-            if given.theory:
-                raise
-            print(f"left out: {problem}", file=sys.stderr)
-            continue
-        able.append(model)
+        with doing(f"theory {model.name}"):
+            answers.append(describe(circuit, model))
         if given.tricritical and model.mixed:
             # It does not depend on N, but a circuit has no threshold above its N.
             number = max(given.number, *given.threshold)
@@ -58,5 +50,5 @@ def main(arguments: list[str] | None = None) -> int:
             there = tricritical.tricritical(model.of(unlimited))
             answers[-1]["transition"] = tricritical.order(model.of(circuit))
             answers[-1]["tricritical"] = vars(there) if there else None
-    print(json.dumps(beside(able, answers), indent=2))
+    print(json.dumps(beside(models, answers), indent=2))
     return 0

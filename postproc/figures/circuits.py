@@ -174,15 +174,16 @@ def draw_relaxation(
         for series in series_of(points, at):
             time = series["time"].values
             values = quantity_of(series, number, number - starts[at])[time <= end]
-            middle, mean, _ = binned(time[time <= end], values, steps)
-            found.append(mean)
-        shortest = min(map(len, found))
-        band = np.array([one[:shortest] for one in found])
+            found.append(binned(time[time <= end], values, steps)[:2])
+        # Replicas of merged files may have other lengths and intervals.
+        last = min(middle[-1] for middle, _ in found)
+        middle = min((middle[middle <= last] for middle, _ in found), key=len)
+        band = np.array([np.interp(middle, *one) for one in found])
         mean, deviation = band.mean(axis=0), band.std(axis=0, ddof=min(len(band) - 1, 1))
-        lines += axes.plot(middle[:shortest], mean, color=colour, lw=1.1, label=title(points, at))
+        lines += axes.plot(middle, mean, color=colour, lw=1.1, label=title(points, at))
         if len(band) > 1:
             ends = np.clip([mean - deviation, mean + deviation], *possible)
-            axes.fill_between(middle[:shortest], *ends, color=colour, alpha=0.25, lw=0)
+            axes.fill_between(middle, *ends, color=colour, alpha=0.25, lw=0)
         for model in models:
             if circuit.beyond_theory or model.refusal(circuit):
                 continue

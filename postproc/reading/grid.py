@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import warnings
 from collections.abc import Iterable
 from functools import cache, partial
 from itertools import chain
@@ -141,12 +140,7 @@ def with_theory(data: xr.Dataset, theory: str | Sequence[str] | bool) -> xr.Data
     for at, model in enumerate(models):
         results_of = cache(partial(_of_urn if urn else _of_circuit, model))
         for point, circuit in enumerate(each(circuits, f"states, {model.label}, point")):
-            try:
-                found[:, at, point] = results_of(circuit, starts[point])
-            except InputError as problem:
-                if theory is not True:
-                    raise
-                warnings.warn(f"left out: {problem}", stacklevel=2)
+            found[:, at, point] = results_of(circuit, starts[point])
     axes = [name for name in data["task"].dims if name != "replica"]
     sizes = [data.sizes[name] for name in axes]
     added = {"theory": xr.Variable("theory", [one.name for one in models])}

@@ -61,8 +61,11 @@ def group_of(data: xr.Dataset, group: str) -> xr.Dataset:
             if not opened.has(group):
                 raise InputError(f"{path}: has no {group}{HINTS.get(group, '')}")
             parts.append(opened.dataset(group, places[mine].astype(int)).assign_coords(row=mine))
-    found = parts[0] if len(parts) == 1 else xr.concat(parts, "row", join="outer")
-    found = found.reindex(row=np.arange(places.size), copy=False).drop_vars("row")
+    counted = [name for name in parts[0].dims if name not in parts[0].indexes]
+    parts = [one.assign_coords({name: np.arange(one.sizes[name]) for name in counted})
+             for one in parts]  # fmt: skip
+    found = parts[0] if len(parts) == 1 else xr.concat(parts, "row", "all", join="outer")
+    found = found.reindex(row=np.arange(places.size), copy=False).drop_vars(["row", *counted])
     variables = dict(found.variables)
     for name, one in found.variables.items():
         if one.dims[:1] == ("row",):

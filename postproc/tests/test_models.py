@@ -105,9 +105,11 @@ def test_the_default_theories_are_the_same_wherever_none_is_named(
 ) -> None:
     """The paper's beside memory, or beside the exact gate for many circuits, and polygons."""
     square = Circuit(1000, 7, outline=regular(4, 1.0))
-    many = [Circuit(1000, threshold) for threshold in range(13)]
-    for circuits, better in ((many[:12] * 2, "direction"), (many, "renewal"),
-                             ([square], "renewal"), ([SINGLE], "renewal")):  # fmt: skip
+    many = [Circuit(1000, 30, channel2_width=0.01 * width) for width in range(1, 14)]
+    wide = Circuit(20, 2, 1.2, 1.0)  # of which direction finds no flows
+    for circuits, better in ((many[:2] * 12, "direction"), (many, "renewal"),
+                             ([square], "renewal"), ([SINGLE], "renewal"),
+                             ([many[0], wide], "renewal")):  # fmt: skip
         assert [one.name for one in defaults(circuits)] == ["window", better]
     for command in ("theory", "lifetimes"):
         printed = {}

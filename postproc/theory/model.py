@@ -129,6 +129,17 @@ class Model:
             return f"theory {self.name}: it knows widths of channel 2 up to {most:g}, the radius"
         return ""
 
+    def answers_for(self, circuit: Circuit) -> bool:
+        """Whether it applies to a circuit, and finds its states."""
+        if self.refusal(circuit) or circuit.beyond_theory:
+            return False
+        try:
+            self.states(circuit)
+            self.homogeneous_kind(circuit)
+        except InputError:
+            return False
+        return True
+
     def of(self, circuit: Circuit) -> Circuit:
         """Return the circuit for this theory; raise `InputError` if it does not apply."""
         circuit.need_empty_channels()

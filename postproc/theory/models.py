@@ -64,11 +64,11 @@ def defaults(circuits: Iterable[Circuit]) -> tuple[Model, Model]:
     """Return the two theories that are given beside these circuits where none is named.
 
     The paper's, and memory; the exact gate in its place if there are more than `FEW` different
-    circuits, or if it does not apply to one of them.
+    circuits, or if it does not apply to one of them, or does not find its states.
     """
     asked = set(circuits)
     better = MODELS["direction"]
-    if len(asked) > FEW or any(map(better.refusal, asked)):
+    if len(asked) > FEW or not all(map(better.answers_for, asked)):
         better = MODELS["renewal"]
     return MODELS["window"], better
 

@@ -13,6 +13,7 @@ module battery_checksum_footer
   use battery_kinds, only: int8, int64
   use battery_error, only: error_type, fatal_error, exit_bad_input, exit_failure
   use battery_files, only: is_readable, write_parts, file_stamp_type
+  use battery_foreign_bytes, only: is_results_file
   use battery_file_text, only: read_file
   use battery_paths, only: is_folder
   implicit none (type, external)
@@ -30,7 +31,7 @@ module battery_checksum_footer
 
   !> An attribute that only files of this program have, near their beginning.
   character(len=*), parameter :: mark = 'initial_file_fingerprint'
-  integer, parameter :: beginning = 1024**2
+  integer, parameter :: beginning = 1024**2, shortest = 64
 
   !> Advice about something else that has the name of the results file.
   character(len=*), parameter :: leave_it = '; name another output file, or move it away'
@@ -143,7 +144,7 @@ contains
         //'0.2.0: it has no digest at its end, which HDF5 cuts off when it opens a file for ' &
         //'writing; if the contents are still as they were, battery --accept FILE.nml takes them ' &
         //'as they are', exit_bad_input)
-    else if (index(first, mark) > 0 .or. verify(first, achar(0)) == 0) then
+    else if (may_be_results(first, bytes)) then
       call fatal_error(error, name//' is damaged: it has no digest at its end', exit_failure)
     else
       call fatal_error(error, name//' is not a results file of this program'//leave_it, &
@@ -151,9 +152,8 @@ contains
     end if
   end subroutine check_footer
 
-  !> Checks that `--overwrite` may remove a file: one that is empty, or begins with zeros only, as a
-  !> crash of the machine leaves it, or a results file, whole or not: a namelist, or an HDF5 file of
-  !> another program, stays.
+  !> Checks that `--overwrite` may remove a file: a results file, whole or not. A namelist, or an
+  !> HDF5 file of another program, stays.
   subroutine check_discardable(name, error)
     !> Path of the file, which need not exist.
     character(len=*), intent(in) :: name
@@ -174,10 +174,26 @@ contains
     if (status == 0 .and. bytes > footer_length) &
       read (unit, pos=bytes - footer_length + 1, iostat=status) last
     close (unit)
-    if (status == 0 .and. index(first, mark) == 0 .and. verify(first, achar(0)) /= 0 .and. &
-      index(last, first_line) /= 1) call fatal_error(error, name//' is not a results file, ' &
+    if (status == 0 .and. .not. (may_be_results(first, bytes) .or. index(last, first_line) == 1)) &
+      call fatal_error(error, name//' is not a results file, ' &
       //'and is not discarded'//leave_it, exit_bad_input)
   end subroutine check_discardable
+
+  !> Whether a file without a footer may be what is left of a results file: an HDF5 file that is cut
+  !> off or has the mark; it may begin with zeros, as a crash of the machine leaves it.
+  pure logical function may_be_results(first, bytes) result(yes)
+    !> First bytes of the file, or all; length of the file.
+    character(len=*), intent(in) :: first
+    integer(int64), intent(in) :: bytes
+
+    if (is_results_file(first)) then
+      yes = index(first, mark) > 0 .or. bytes < end_in_hdf5(first) .or. len(first) < shortest
+    else
+      yes = verify(first(:min(shortest, len(first))), achar(0)) == 0
+      if (len(first) > shortest) yes = yes .and. (index(first, mark) > 0 &
+        .or. verify(first, achar(0)) == 0)
+    end if
+  end function may_be_results
 
   !> Length of a file according to HDF5's superblock.
   pure integer(int64) function end_in_hdf5(first) result(bytes)

@@ -12,7 +12,8 @@ module battery_disc_passages
   use battery_disc, only: disc_type, recompute_grazing_incidence, grazing_cosine
   use battery_rotation, only: turn_of_vector, unit_vector, full_turn
   use battery_opening_search, only: find_opening
-  use battery_visits, only: visits_type, group_size, no_channel, many_hits, longest_time
+  use battery_visits, only: visits_type, group_size, no_channel, many_hits, &
+    longest_time, longest_hits_time
   implicit none (type, external)
   private
   public :: compute_disc_passages
@@ -28,6 +29,14 @@ module battery_disc_passages
   !> this, in units of the radius, over the square of the cosine of incidence: some times the
   !> rounding error of a path traced back to there, whose chords have the length of that cosine.
   real(wp), parameter :: wall_margin = 1.0e-12_wp
+
+  !> Chords longer than this, in units of the radius, lose digits as those of this length do: there
+  !> may be up to `many_hits` of them.
+  real(wp), parameter :: short = 1.0_wp/30.0_wp
+
+  !> Openings are narrow if together they are smaller than this, in units of the radius: visits have
+  !> some thousand hits.
+  real(wp), parameter :: narrow = 5.0e-3_wp
 
   !> An opening is nearly as wide as the urn if its chord is nearer to the centre than this, in
   !> units of the radius.
@@ -85,7 +94,10 @@ contains
         visits%zy(j), visits%steps(j))
     end do
     visits%many_hits_count = active
-    call list_many_chords(disc%radius, visits)
+    if (sum(disc%half_opening) < narrow) then
+      if (has_many_chords(visits%count, disc%radius, visits%impacts, visits%passage, visits%c)) &
+        call list_many_chords(disc%radius, visits)
+    end if
     call find_exits(n, disc, visits%c, visits%s, visits%hit_x, visits%hit_y, visits%impacts, &
       visits%first, visits%channel, visits%x, visits%y, visits%u_axial, visits%u_lateral, &
       visits%length, visits%through)
@@ -183,7 +195,7 @@ contains
       s(j) = sine
       steps(j) = 0.0_wp
       low = low + merge(1_int64, 0_int64, cosine < grazing_cosine .or. cosine**2*(radial &
-        - abs(outward)) < near .or. cosine**2 < per_time*passage(j))
+        - abs(outward)) < near .or. cosine*min(cosine, short) < per_time*passage(j))
     end do
     uncommon = low > 0
   end subroutine find_first_impacts
@@ -231,7 +243,7 @@ contains
       ! from the channel (`trace_back_into_channel`).
       if (max(distance, 0.25_wp*(half_width - abs(visits%y(j))))*visits%c(j)**2 &
         > wall_margin*disc%radius .and. visits%passage(j) < longest_time*disc%radius &
-        *visits%c(j)**2) cycle
+        *visits%c(j)*min(visits%c(j), short)) cycle
       visits%untraceable_count = visits%untraceable_count + 1
       visits%untraceable_index(visits%untraceable_count) = j
       if (abs(visits%u_lateral(j)) > 0.0_wp .or. abs(abs(visits%y(j)) - half_width) &
@@ -239,6 +251,22 @@ contains
       visits%py(j) = sign((1.0_wp + 2.0_wp*epsilon(1.0_wp))*disc%half_opening(from), visits%py(j))
     end do
   end subroutine list_untraceable
+
+  !> Whether a passage may have to be listed by `list_many_chords`.
+  pure function has_many_chords(n, radius, impacts, passage, c) result(yes)
+    integer, intent(in) :: n
+    real(wp), intent(in) :: radius, impacts(n), passage(n), c(n)
+    logical :: yes
+    integer(int64) :: found
+    integer :: j
+
+    found = 0
+    do j = 1, n
+      found = found + merge(1_int64, 0_int64, impacts(j)*max(passage(j), radius) &
+        > longest_hits_time*radius*c(j))
+    end do
+    yes = found > 0
+  end function has_many_chords
 
   !> Lists the passages with many hits that cannot be traced back since their chords are short, or
   !> the particle was in the channel for long.
@@ -249,7 +277,8 @@ contains
 
     do k = 1, visits%many_hits_count
       j = visits%many_hits_index(k)
-      if (visits%impacts(j)*max(visits%passage(j), radius) <= longest_time*radius*visits%c(j)) cycle
+      if (visits%impacts(j)*max(visits%passage(j), radius) <= longest_hits_time*radius &
+        *visits%c(j)) cycle
       if (any(visits%untraceable_index(:visits%untraceable_count) == j)) cycle
       visits%untraceable_count = visits%untraceable_count + 1
       visits%untraceable_index(visits%untraceable_count) = j

@@ -15,7 +15,7 @@ module battery_polygon_passages
   use battery_polygon, only: polygon_type, nearest_side, boundary_state_type, state_on_side, &
     has_returned, find_next_side_robustly, reflect_from_side, longest_period
   use battery_visits, only: visits_type, group_size, no_channel, truncated, many_hits, &
-    longest_time
+    longest_hits_time
   implicit none (type, external)
   private
   public :: compute_polygon_passages, follow_polygon_passage
@@ -368,7 +368,8 @@ contains
     visits%through(mine) = polygon%length(channel)/visits%u_axial(mine)
     visits%hits(mine) = visits%hits(mine) + visits%steps(j)
     if (visits%steps(j) >= many_hits) call list_visit_with_many_hits(visits, mine)
-    if (visits%steps(j)*visits%passage(mine) <= longest_time*polygon%reach) return
+    if (visits%steps(j)*max(visits%passage(mine), polygon%reach) <= longest_hits_time &
+      *polygon%reach) return
     visits%untraceable_count = visits%untraceable_count + 1
     visits%untraceable_index(visits%untraceable_count) = mine
   end subroutine store_exit

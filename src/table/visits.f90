@@ -7,7 +7,7 @@ module battery_visits
   implicit none (type, external)
   private
   public :: visits_type, reserve_visits, split_visits_by_urn, group_size, no_channel, truncated, &
-    many_hits, longest_time
+    many_hits, longest_time, longest_hits_time
 
   !> Number of particles that the kernels process together.
   integer, parameter :: group_size = 4
@@ -26,8 +26,9 @@ module battery_visits
   !> Traced back through chords of the length c (in units of the radius) a velocity has an error of
   !> epsilon/c**2, or epsilon/c for each of many chords, and the place in the channel before one
   !> that grows with the time spent there. The start of a passage is stored where that time exceeds
-  !> this many times c**2 radii, or c radii over the number of hits: there the error is 2e-12 radii.
-  real(wp), parameter :: longest_time = 1.0e4_wp
+  !> this many times c**2 radii, or ten times that many c radii over the number of hits: there the
+  !> errors are some 1e-11 radii.
+  real(wp), parameter :: longest_time = 1.0e4_wp, longest_hits_time = 10.0_wp*longest_time
 
   !> A batch of visits; arrays are padded to whole groups of `group_size`.
   type :: visits_type

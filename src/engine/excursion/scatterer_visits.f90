@@ -33,10 +33,11 @@ module battery_scatterer_visits
   !> A visit while it is computed.
   type :: scatterer_visit_type
     integer :: particle = 0
-    !> State that it has reached; next event after its end; wall hits so far.
+    !> State that it has reached; next event after its end; wall hits so far, and of them those
+    !> before the start of the visit.
     type(motion_type) :: now
     integer(int16) :: next_event = undetermined
-    integer(int64) :: hits = 0
+    integer(int64) :: hits = 0, hits_before = 0
     !> As in `flight_type`, once it has ended.
     real(wp) :: y = 0.0_wp, u_axial = 0.0_wp, u_lateral = 0.0_wp, through = 0.0_wp
   end type scatterer_visit_type
@@ -108,7 +109,7 @@ contains
 
     scatterer_visits%count = scatterer_visits%count + 1
     scatterer_visits%visit(scatterer_visits%count) = scatterer_visit_type(particle=particle, &
-      now=visit_start, hits=hits)
+      now=visit_start, hits=hits, hits_before=hits)
   end subroutine add_scatterer_visit
 
   !> Computes all visits of the batch to their ends, but not beyond the time `limit`.
@@ -282,7 +283,7 @@ contains
         now%x = -table%urn(motion%urn)%chord(channel2)
         now%chamber = int(in_urn, int8)
         ! It may go to and fro between a disc and the wall of the urn for ever.
-        if (visit%hits >= longest_part) visit%next_event = partial_visit
+        if (visit%hits - visit%hits_before >= longest_part) visit%next_event = partial_visit
       else
         visit%next_event = merge(to_periodic_line, partial_visit, motion%next == meets_line)
         visit%y = now%y
