@@ -314,3 +314,18 @@ def test_merged_files_of_other_lengths_have_their_events_and_one_axis(tmp_path: 
     assert both.events["time"].notnull().sum("event").values.tolist() == lengths
     (line,) = postproc.plot.relaxation(both)
     assert 15.0 < line.get_xdata()[-1] < 20.0
+
+
+def test_lifetimes_combine_runs_of_one_circuit_and_refuse_other_widths(tmp_path: Path) -> None:
+    """Starts with N1 = 0 and N1 = N are of one kind; a figure has no place for two widths w."""
+    scans = {"starts": {"urn1_fraction": [0.0, 1.0], "replicas": 2},
+             "widths": {"channel1_width": [0.2, 0.4]}}  # fmt: skip
+    found = {}
+    for name, scan in scans.items():
+        groups = {"particles": {"number": 40}, "gate": {"threshold": 1}, "run": {"duration": 100.0},
+                  "output": {"file": f"{name}.h5", "series_interval": 1.0},
+                  "scan": scan}  # fmt: skip
+        found[name] = postproc.open_results(postproc.run(groups, folder=tmp_path, quiet=True))
+    assert len(postproc.plot.lifetimes(found["starts"])) == 1
+    with pytest.raises(InputError, match="no place for channel1_width"):
+        postproc.plot.lifetimes(found["widths"])

@@ -19,7 +19,8 @@ from postproc.cli import InputError
 from postproc.figures import style
 from postproc.figures.theories import default
 from postproc.reading.groups import each_series
-from postproc.reading.points import alike, files_of
+from postproc.reading.points import alike, files_of, need_only
+from postproc.theory.circuit import PAPERS_AGE
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -109,8 +110,10 @@ def measured(points: xr.Dataset) -> list[Lifetime]:
 
     Runs of one circuit and one kind of start are combined.
     """
+    need_only(points, "threshold", "number", "channel1_length", "channel2_width", "start")
     passages: dict[tuple[Circuit, bool], list[tuple[float, bool]]] = {}
     circuits, starts = alike(points), points["start"].values
+    circuits = [replace(one, age=PAPERS_AGE) for one in circuits]  # no lifetime depends on it
     for at, series in each_series(points):
         circuit, polarised = circuits[at], bool(starts[at] > MIDDLE)
         passage = first_passage(series, circuit.number, LOW if polarised else HIGH, polarised)
