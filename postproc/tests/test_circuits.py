@@ -64,6 +64,14 @@ def test_lines_of_transition_go_through_the_widths() -> None:
         assert np.isfinite(line).tolist() == [True, True, True, True, False, False]
 
 
+def test_the_line_of_direction_does_not_depend_on_which_thresholds_are_asked() -> None:
+    """Each width is where a small difference between the urns neither grows nor shrinks."""
+    _, line = Circuit(number=1000, threshold=2).transition_line([1, 2], "direction")
+    assert line == pytest.approx([2.130e-4, 1.3725e-3], rel=2e-3)
+    alone = Circuit(number=1000, threshold=2).transition_width("direction")
+    assert alone == pytest.approx(line[1], rel=2e-4)
+
+
 @pytest.mark.parametrize(
     ("given", "message"),
     [

@@ -12,7 +12,7 @@ from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy import interpolate
+from scipy import interpolate, optimize
 
 from postproc.cli import InputError
 from postproc.progress import each
@@ -45,7 +45,8 @@ if TYPE_CHECKING:
 STRONGEST = 4.0  # load of a gate over T at which a transition is a jump, whatever T
 STEPS = 20  # points on a line of transition from one integer T to the next
 WIDTHS = 400  # values between w' = 0 and 2r at which a transition is searched for
-FEW_WIDTHS = 13  # for a slower theory, within the line of well mixed urns
+FEW_WIDTHS = 13  # for a slower theory, up to somewhat beyond the line of well mixed urns
+WIDER = 1.3  # how far beyond, and how far from such a first value the zero is searched for
 
 
 def _no_extras(_: Circuit) -> dict[str, object]:
@@ -278,10 +279,30 @@ class Model:
             return _mixed_line(own, whole, label)
         _, mixed = _mixed_line(replace(circuit, gate=RENEWAL, occupation=False), whole, label)
         most = float(np.nanmax(mixed, initial=0.0))
-        even = np.linspace(0.0, most or float(circuit.channel1_width), FEW_WIDTHS)
+        even = np.linspace(0.0, WIDER * most or float(circuit.channel1_width), FEW_WIDTHS)
         narrow = np.geomspace(1e-3 * even[-1], even[1], FEW_WIDTHS // 2)
         widths = np.concatenate([even[:1], narrow, even[2:]])
-        return _line(own, whole, widths, self._stability, label)
+        thresholds, line = _line(own, whole, widths, self._stability, label)
+        rough = line[np.searchsorted(thresholds, whole)]
+        exact = [self._zero_near(replace(own, threshold=int(at)), width)
+                 for at, width in zip(whole, rough, strict=True)]  # fmt: skip
+        with np.errstate(invalid="ignore"):
+            factors = np.where(rough > 0.0, exact / rough, 1.0)
+        return thresholds, line * np.interp(thresholds, whole, factors)
+
+    def _zero_near(self, circuit: Circuit, width: float) -> float:
+        """Return where the growth of a difference is 0, near a first value of w' if there."""
+
+        def growth(at: float) -> float:
+            return float(self.theory.growth(replace(circuit, channel2_width=at)))
+
+        def found() -> float:
+            ends = width / WIDER, WIDER * width
+            if not width > 0.0 or growth(ends[0]) <= 0.0 or growth(ends[1]) >= 0.0:
+                return width
+            return float(optimize.brentq(growth, *ends, rtol=1e-4))
+
+        return float(self._cached("width", circuit, found, width))
 
     def _stability(self, circuit: Circuit, widths: Floats) -> Floats:
         """Return a function of w' that is negative where the homogeneous state is unstable."""
