@@ -46,7 +46,8 @@ STRONGEST = 4.0  # load of a gate over T at which a transition is a jump, whatev
 STEPS = 20  # points on a line of transition from one integer T to the next
 WIDTHS = 400  # values between w' = 0 and 2r at which a transition is searched for
 FEW_WIDTHS = 13  # for a slower theory, up to somewhat beyond the line of well mixed urns
-WIDER = 1.3  # how far beyond, and how far from such a first value the zero is searched for
+WIDER = 1.3  # how far beyond
+NEAR = 2.0  # factor to both sides of such a first value within which the zero is
 
 
 def _no_extras(_: Circuit) -> dict[str, object]:
@@ -279,7 +280,8 @@ class Model:
             return _mixed_line(own, whole, label)
         _, mixed = _mixed_line(replace(circuit, gate=RENEWAL, occupation=False), whole, label)
         most = float(np.nanmax(mixed, initial=0.0))
-        even = np.linspace(0.0, WIDER * most or float(circuit.channel1_width), FEW_WIDTHS)
+        most = max(WIDER * most, 0.5 * float(circuit.channel1_width))
+        even = np.linspace(0.0, most, FEW_WIDTHS)
         narrow = np.geomspace(1e-3 * even[-1], even[1], FEW_WIDTHS // 2)
         widths = np.concatenate([even[:1], narrow, even[2:]])
         thresholds, line = _line(own, whole, widths, self._stability, label)
@@ -294,24 +296,35 @@ class Model:
         """Return where the growth of a difference is 0, near a first value of w' if there."""
 
         def growth(at: float) -> float:
-            return float(self.theory.growth(replace(circuit, channel2_width=at)))
+            return self._growth(replace(circuit, channel2_width=at))
 
         def found() -> float:
-            ends = width / WIDER, WIDER * width
-            if not width > 0.0 or growth(ends[0]) <= 0.0 or growth(ends[1]) >= 0.0:
+            ends = width / NEAR, NEAR * width
+            if not (width > 0.0 and growth(ends[0]) > 0.0 > growth(ends[1])):
                 return width
             return float(optimize.brentq(growth, *ends, rtol=1e-4))
 
         return float(self._cached("width", circuit, found, width))
 
     def _stability(self, circuit: Circuit, widths: Floats) -> Floats:
-        """Return a function of w' that is negative where the homogeneous state is unstable."""
+        """Return a function of w' that is negative where the homogeneous state is unstable.
+
+        Where the theory does not answer it goes on as before, so there is no zero.
+        """
         circuits = [replace(circuit, channel2_width=float(one)) for one in widths]
-        found = self._cached(
-            "growth", circuit,
-            lambda: [self.theory.growth(one) for one in each(circuits, "w'")], widths.tolist(),
-        )  # fmt: skip
-        return -np.array(found, float)
+        found = np.array(self._cached(
+            "growth", circuit, lambda: list(map(self._growth, each(circuits, "w'"))),
+            widths.tolist(),
+        ), float)  # fmt: skip
+        known = np.isfinite(found)
+        return -np.interp(widths, widths[known], found[known]) if known.any() else found
+
+    def _growth(self, circuit: Circuit) -> float:
+        """Return the growth of a small difference of the urns, NaN if the theory has no answer."""
+        try:
+            return float(self.theory.growth(circuit))
+        except InputError:
+            return math.nan
 
     def tricritical_place(self, circuit: Circuit) -> tuple[float, float] | None:
         """Return (T, w') on the line of transition at this N where a jump becomes continuous.
