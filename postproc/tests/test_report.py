@@ -321,7 +321,7 @@ def test_a_film_that_cannot_be_written(
     assert call("film", options + (["--gif"] if kind == "gif" else [])) == 2
     (line,) = capsys.readouterr().err.strip().splitlines()
     assert f"film.{kind}: " in line
-    assert "directory" in line
+    assert "is a folder" in line
 
 
 @pytest.mark.parametrize(("command", "package"), [("report", "bokeh"), ("film", "imageio_ffmpeg")])
