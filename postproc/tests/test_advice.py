@@ -307,3 +307,14 @@ def test_the_map_is_asked_at_the_nearest_point_of_like_circuits() -> None:
     found = Pilot(0.87, 0.009, 0.0, 1000.0, 2000.0, 1e-8, 0.05)  # too cheap to ask all theories
     advised = advice.advise(advice.table_of(own), own, "chi", 0.001, found)
     assert model_errors.words(own, "chi") in advised.reason
+
+
+def test_a_current_is_that_of_the_state_with_this_chi_and_has_its_sign() -> None:
+    """Unequal urns have other states, farther out; and gates may drive a current back."""
+    unlike = Circuit(1000, 7, urn2_radius=0.6)
+    found, _ = advice.theory_says(unlike, MODELS["window"], "polarised_current", 0.82)
+    assert found == pytest.approx(2.506, abs=0.001)
+    back = Circuit(60, 1, 1.0, 0.5, urn_radius=0.6, urn2_radius=1.0, gate2_threshold=2)
+    found, _ = advice.theory_says(back, MODELS["renewal"], "polarised_current", None)
+    assert found == pytest.approx(-0.411, abs=0.001)
+    assert transients.missing(Circuit(500, 5, channel2_width=1.5), 0.1, 10.0, 10.0) == 0.0

@@ -363,3 +363,9 @@ def test_where_it_does_not_hold_it_says_so(circuit: Circuit, message: str) -> No
     """Beyond the radius channel 2 empties the urns, and N2 no longer gives the flows."""
     with pytest.raises(InputError, match=message):
         MODELS["direction"].lifetimes(circuit)
+
+
+def test_an_unequal_circuit_of_which_not_all_states_are_found_has_none() -> None:
+    """Runs have a current of 0.88; there was no state at all, without a word."""
+    with pytest.raises(InputError, match="it does not find all states"):
+        direction.stationary_states(Circuit(50, 3, 1.0, 0.8, gate2_threshold=6))
