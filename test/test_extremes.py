@@ -293,8 +293,8 @@ def test_who_starts_at_the_mouth_of_a_channel_into_its_wall_hits_it(tmp_path: Pa
     assert hits[0] >= len(starts)
 
 
-@pytest.mark.parametrize("width", [0.3, 0.01, 1e-3, 1e-6, 1.999999999998])
-@pytest.mark.parametrize("speed", [1e-2, 1e-3, 1e-6, 1e-8, 1e-10])
+@pytest.mark.parametrize("width", [0.3, 0.01, 1e-6, 1.999999999998])
+@pytest.mark.parametrize("speed", [1e-3, 1e-6, 1e-10])
 @pytest.mark.parametrize("shape", ["disc", "polygon"])
 def test_a_slow_particle_in_a_channel_is_located_before_it_enters_the_urn(
     tmp_path: Path, width: float, speed: float, shape: str
@@ -314,6 +314,19 @@ def test_a_slow_particle_in_a_channel_is_located_before_it_enters_the_urn(
         values = [found[f"snapshots/{name}"] for found in (one, other)]
         np.testing.assert_allclose(*values, rtol=0, atol=2e-11, err_msg=name)
     assert one["collisions"].item() == other["collisions"].item()
+
+
+def test_a_visit_of_many_short_chords_takes_no_digit_from_the_channel_before(
+    tmp_path: Path,
+) -> None:
+    """Some 8000 hits at a cosine of 0.016; until then the particle flies straight."""
+    x, ux, time = -0.17456781466393767, -0.015723350768998542, 0.0408
+    start = (x, -0.00022314587001215824, ux, 0.9998763804794045)
+    table = {"channel1_width": 0.0014559289346818662, "channel1_length": 0.4160723875504878,
+             "channel2_width": 0.0015419199815254216}  # fmt: skip
+    found = from_starts(tmp_path, [start], table, "excursion", 5.0, repr(time))
+    assert found["snapshots/x"].item() == pytest.approx(x + ux * time, abs=2e-11)
+    assert found["snapshots/ux"].item() == pytest.approx(ux, abs=2e-11)
 
 
 def test_who_comes_out_of_a_narrow_slot_after_a_million_hits_goes_on(tmp_path: Path) -> None:

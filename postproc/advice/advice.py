@@ -371,18 +371,18 @@ def transition_of(circuit: Circuit, model: Model) -> float:
 
 
 def theory_says(
-    circuit: Circuit, model: Model, quantity: str, spread: float | None
+    circuit: Circuit, model: Model, quantity: str, spread: float
 ) -> tuple[float, float]:
     """Return a theory's value, NaN if it has none, and its processor time.
 
-    Of several stable states that whose chi is nearest to `spread`.
+    Of several stable states that whose chi is nearest to `spread`, or, if that is NaN, largest.
     """
     began = time.process_time()
     if quantity == "transition":
         value = transition_of(circuit, model)
         return value, time.process_time() - began
     stable = model.solve_stable(circuit)
-    if stable and spread is not None and math.isfinite(spread):
+    if stable and math.isfinite(spread):
         state = min(stable, key=lambda one: abs(one.mass_spread - spread))
     elif stable:
         state = max(stable, key=lambda one: one.mass_spread)

@@ -71,8 +71,7 @@ def missing(circuit: Circuit, chi: float, transients: Floats, measured: Floats) 
     ----------
     chi : mass spread of the state, urn 2 the fuller one.
     """
-    narrower = 0.0 < float(circuit.channel2_width) < float(circuit.channel1_width)
-    if MODELS["direction"].refusal(circuit) or not narrower:
+    if float(circuit.channel2_width) == 0.0 or MODELS["direction"].refusal(circuit):
         return np.zeros(np.shape(transients))
     lacking = _lacking(MODELS["direction"].of(circuit), chi)
     start = np.asarray(transients, float)

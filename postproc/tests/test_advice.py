@@ -315,6 +315,6 @@ def test_a_current_is_that_of_the_state_with_this_chi_and_has_its_sign() -> None
     found, _ = advice.theory_says(unlike, MODELS["window"], "polarised_current", 0.82)
     assert found == pytest.approx(2.506, abs=0.001)
     back = Circuit(60, 1, 1.0, 0.5, urn_radius=0.6, urn2_radius=1.0, gate2_threshold=2)
-    found, _ = advice.theory_says(back, MODELS["renewal"], "polarised_current", None)
+    found, _ = advice.theory_says(back, MODELS["renewal"], "polarised_current", math.nan)
     assert found == pytest.approx(-0.411, abs=0.001)
     assert transients.missing(Circuit(500, 5, channel2_width=1.5), 0.1, 10.0, 10.0) == 0.0

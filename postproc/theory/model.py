@@ -285,7 +285,7 @@ class Model:
         narrow = np.geomspace(1e-3 * even[-1], even[1], FEW_WIDTHS // 2)
         widths = np.concatenate([even[:1], narrow, even[2:]])
         thresholds, line = _line(own, whole, widths, self._stability, label)
-        rough = line[np.searchsorted(thresholds, whole)]
+        rough = line[np.searchsorted(thresholds, whole - 0.5 / STEPS)]
         exact = [self._zero_near(replace(own, threshold=int(at)), width)
                  for at, width in zip(whole, rough, strict=True)]  # fmt: skip
         with np.errstate(invalid="ignore"):

@@ -31,6 +31,9 @@ module battery_checksum_footer
 
   !> An attribute that only files of this program have, near their beginning.
   character(len=*), parameter :: mark = 'initial_file_fingerprint'
+
+  !> First bytes of a file that are examined; one of fewer than `shortest` is cut off in the first
+  !> block of HDF5.
   integer, parameter :: beginning = 1024**2, shortest = 64
 
   !> Advice about something else that has the name of the results file.
@@ -186,13 +189,9 @@ contains
     character(len=*), intent(in) :: first
     integer(int64), intent(in) :: bytes
 
-    if (is_results_file(first)) then
-      yes = index(first, mark) > 0 .or. bytes < end_in_hdf5(first) .or. len(first) < shortest
-    else
-      yes = verify(first(:min(shortest, len(first))), achar(0)) == 0
-      if (len(first) > shortest) yes = yes .and. (index(first, mark) > 0 &
-        .or. verify(first, achar(0)) == 0)
-    end if
+    yes = is_results_file(first) .or. verify(first(:min(shortest, len(first))), achar(0)) == 0
+    yes = yes .and. (index(first, mark) > 0 .or. len(first) < shortest .or. &
+      bytes < end_in_hdf5(first) .or. verify(first, achar(0)) == 0)
   end function may_be_results
 
   !> Length of a file according to HDF5's superblock.

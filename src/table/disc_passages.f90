@@ -94,10 +94,7 @@ contains
         visits%zy(j), visits%steps(j))
     end do
     visits%many_hits_count = active
-    if (sum(disc%half_opening) < narrow) then
-      if (has_many_chords(visits%count, disc%radius, visits%impacts, visits%passage, visits%c)) &
-        call list_many_chords(disc%radius, visits)
-    end if
+    if (sum(disc%half_opening) < narrow) call list_many_chords(disc%radius, visits)
     call find_exits(n, disc, visits%c, visits%s, visits%hit_x, visits%hit_y, visits%impacts, &
       visits%first, visits%channel, visits%x, visits%y, visits%u_axial, visits%u_lateral, &
       visits%length, visits%through)
@@ -251,22 +248,6 @@ contains
       visits%py(j) = sign((1.0_wp + 2.0_wp*epsilon(1.0_wp))*disc%half_opening(from), visits%py(j))
     end do
   end subroutine list_untraceable
-
-  !> Whether a passage may have to be listed by `list_many_chords`.
-  pure function has_many_chords(n, radius, impacts, passage, c) result(yes)
-    integer, intent(in) :: n
-    real(wp), intent(in) :: radius, impacts(n), passage(n), c(n)
-    logical :: yes
-    integer(int64) :: found
-    integer :: j
-
-    found = 0
-    do j = 1, n
-      found = found + merge(1_int64, 0_int64, impacts(j)*max(passage(j), radius) &
-        > longest_hits_time*radius*c(j))
-    end do
-    yes = found > 0
-  end function has_many_chords
 
   !> Lists the passages with many hits that cannot be traced back since their chords are short, or
   !> the particle was in the channel for long.

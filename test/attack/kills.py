@@ -106,7 +106,7 @@ def look_into(folder: Path, whole: Path, over: Event, outcome: Outcome) -> None:
         elif found.code == 0:
             try:
                 check_true(folder / PARTIAL, whole)
-            except (AssertionError, OSError, ValueError) as problem:
+            except (AssertionError, OSError, RuntimeError, KeyError, ValueError) as problem:
                 outcome.findings.append(f"--partial: {problem}")
         over.wait(0.1)
 
