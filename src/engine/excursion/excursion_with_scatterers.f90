@@ -53,7 +53,9 @@ contains
     integer(int64), intent(in) :: hits
 
     self%scatterer_visits%visit_start(i) = visit_start
-    call add_scatterer_visit(self%scatterer_visits, i, visit_start, hits)
+    ! Not of the visit: that is computed again from its start to locate the particle.
+    self%computed_hits = self%computed_hits + hits
+    call add_scatterer_visit(self%scatterer_visits, i, visit_start)
   end subroutine begin_scatterer_visit
 
   !> Starts a visit for each particle of the batch, as `cross_channels` leaves it.
@@ -86,8 +88,7 @@ contains
     call reserve_scatterer_visits(self%scatterer_visits, self%resumed_count)
     do j = 1, self%resumed_count
       i = self%resumed(j)
-      call add_scatterer_visit(self%scatterer_visits, i, self%scatterer_visits%visit_start(i), &
-        0_int64)
+      call add_scatterer_visit(self%scatterer_visits, i, self%scatterer_visits%visit_start(i))
     end do
     call compute_scatterer_visits(self%scatterer_visits, self%table, huge(1.0_wp))
     do j = 1, self%resumed_count
@@ -113,7 +114,7 @@ contains
       call begin_scatterer_visits(self)
       do j = 1, self%resumed_count
         i = self%resumed(j)
-        call add_scatterer_visit(scatterer_visits, i, scatterer_visits%visit_start(i), 0_int64)
+        call add_scatterer_visit(scatterer_visits, i, scatterer_visits%visit_start(i))
       end do
       allocate (due_particle(scatterer_visits%count), due(scatterer_visits%count))
       do while (scatterer_visits%count > 0)

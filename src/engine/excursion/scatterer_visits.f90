@@ -33,11 +33,10 @@ module battery_scatterer_visits
   !> A visit while it is computed.
   type :: scatterer_visit_type
     integer :: particle = 0
-    !> State that it has reached; next event after its end; wall hits so far, and of them those
-    !> before the start of the visit.
+    !> State that it has reached; next event after its end; wall hits so far.
     type(motion_type) :: now
     integer(int16) :: next_event = undetermined
-    integer(int64) :: hits = 0, hits_before = 0
+    integer(int64) :: hits = 0
     !> As in `flight_type`, once it has ended.
     real(wp) :: y = 0.0_wp, u_axial = 0.0_wp, u_lateral = 0.0_wp, through = 0.0_wp
   end type scatterer_visit_type
@@ -98,18 +97,16 @@ contains
   end subroutine reserve_scatterer_visits
 
   !> Adds a visit to the batch, which is large enough.
-  pure subroutine add_scatterer_visit(scatterer_visits, particle, visit_start, hits)
+  pure subroutine add_scatterer_visit(scatterer_visits, particle, visit_start)
     type(scatterer_visits_type), intent(inout) :: scatterer_visits
     !> Its particle.
     integer, intent(in) :: particle
     !> Its start.
     type(motion_type), intent(in) :: visit_start
-    !> Wall hits in the channel before.
-    integer(int64), intent(in) :: hits
 
     scatterer_visits%count = scatterer_visits%count + 1
     scatterer_visits%visit(scatterer_visits%count) = scatterer_visit_type(particle=particle, &
-      now=visit_start, hits=hits, hits_before=hits)
+      now=visit_start)
   end subroutine add_scatterer_visit
 
   !> Computes all visits of the batch to their ends, but not beyond the time `limit`.
@@ -283,7 +280,7 @@ contains
         now%x = -table%urn(motion%urn)%chord(channel2)
         now%chamber = int(in_urn, int8)
         ! It may go to and fro between a disc and the wall of the urn for ever.
-        if (visit%hits - visit%hits_before >= longest_part) visit%next_event = partial_visit
+        if (visit%hits >= longest_part) visit%next_event = partial_visit
       else
         visit%next_event = merge(to_periodic_line, partial_visit, motion%next == meets_line)
         visit%y = now%y
@@ -338,7 +335,7 @@ contains
 
     call new_scatterer_visits(whole, 1)
     call reserve_scatterer_visits(whole, 1)
-    call add_scatterer_visit(whole, 1, visit_start, 0_int64)
+    call add_scatterer_visit(whole, 1, visit_start)
     part = whole
     call compute_scatterer_visits(whole, table, huge(1.0_wp))
     if (now > visit_start%time) call compute_scatterer_visits(part, table, now)
