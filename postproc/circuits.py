@@ -161,7 +161,8 @@ class Circuit:
         Parameters
         ----------
         thresholds
-            T for which it is computed. `threshold` and `channel2_width` are not used.
+            T for which it is computed, whole numbers. `threshold` and `channel2_width` are not
+            used.
         theory
             As for `eta`.
 
@@ -171,7 +172,12 @@ class Circuit:
             T, and w' of the same shape, NaN where there is no line.
         """
         own, (known,) = self.model(), named(theory)
-        asked = np.asarray(list(thresholds), int)
+        given = list(thresholds)
+        if not all(_is_number(one) and one >= 0 and one == round(one) for one in given):
+            raise InputError(
+                f"thresholds = {reprlib.repr(given)}; allowed: whole numbers from 0 up"
+            )
+        asked = np.asarray(given, int)
         if not own.alike or asked.size == 0:
             return asked.astype(float), np.full(asked.shape, math.nan)
         line = known.transition_line(own, int(asked.min()), int(asked.max()))
@@ -246,9 +252,11 @@ class Circuit:
             rules.append((key, len(values) in (1, 2) and all(map(good, values)), allowed))
         corners, sides = self.urn_vertices, self.urn_sides
         rules += [
-            ("urn_vertices", corners is None or (len(corners) % 2 == 0 and len(corners) >= 6
-                                                 and bool(np.all(np.isfinite(corners)))),
+            ("urn_vertices", corners is None or (isinstance(corners, tuple) and len(corners) >= 6
+                                                 and len(corners) % 2 == 0
+                                                 and all(map(_is_number, corners))),
              "two numbers for each of three corners or more"),
+            ("urn_radius", corners is None or self.urn_radius == 1.0, "only without urn_vertices"),
             ("urn_sides", sides is None or (_is_whole(sides, 4) and sides % 2 == 0
                                             and sides <= MOST_SIDES),
              f"even numbers from 4 to {MOST_SIDES}"),
@@ -285,5 +293,9 @@ def _is_whole(value: object, least: int) -> bool:
     return bool(value >= least)
 
 
+def _is_number(value: object) -> bool:
+    return isinstance(value, (int, float, np.number)) and math.isfinite(value)
+
+
 def _is_length(value: object) -> bool:
-    return isinstance(value, (int, float, np.number)) and bool(0.0 < float(value) < math.inf)
+    return _is_number(value) and float(value) > 0.0  # type: ignore[arg-type]

@@ -95,8 +95,8 @@ def add_task(options: argparse.ArgumentParser) -> None:
     """Add `--verify`, and `--point` and `--replica` that choose a task."""
     add_verify(options)
     for key, meaning in (("point", "parameter point"), ("replica", "replica")):
-        help_text = f"{meaning}, from 1 (default: the first done)"
-        options.add_argument(f"--{key}", type=integer(1), help=help_text)
+        help_text = f"{meaning}, from 0 (default: the first done)"
+        options.add_argument(f"--{key}", type=integer(0), help=help_text)
 
 
 def extra(name: str, module: str) -> ModuleType:

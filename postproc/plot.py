@@ -148,7 +148,7 @@ def flows(
         One for each flow.
     """
     points = by_point(data)
-    task = task_of(points, 1, replica + 1)
+    task = task_of(points, 0, replica)
     need_only(points)
     circuit, (series,) = points["circuit"].values[0], series_of(points, *task)
     (start,) = circuits.starts_of(points)
@@ -180,7 +180,7 @@ def scene(
         One for each colour.
     """
     points = by_point(data)
-    task = task_of(points, 1, replica + 1)
+    task = task_of(points, 0, replica)
     need_only(points)
     axes, circuit = _axes(ax), points["circuit"].values[0]
     scenes.draw_table(axes, circuit)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from itertools import product
 from typing import TYPE_CHECKING, Any
 
@@ -12,6 +13,7 @@ from support.program import namelist, run
 
 import postproc
 from postproc.cli import InputError
+from postproc.reading.grid import selected
 from postproc.reading.points import PARAMETERS
 from postproc.tests.runs import edited, leave_out
 from postproc.theory.circuit import Circuit, single_urn_current
@@ -314,6 +316,20 @@ def test_merged_files_of_other_lengths_have_their_events_and_one_axis(tmp_path: 
     assert both.events["time"].notnull().sum("event").values.tolist() == lengths
     (line,) = postproc.plot.relaxation(both)
     assert 15.0 < line.get_xdata()[-1] < 20.0
+
+
+@pytest.mark.parametrize("scan", [
+    {"threshold": "3, 7", "threshold2": "4, 8", "urn_radius": "1, 1.2", "urn_radius2": "1, 1.4"},
+    {"number": "10, 20, 40", "threshold_fraction": "0.1, 0.2", "urn1_fraction": "0.5, 0.7"},
+], ids=["pairs", "fractions"])  # fmt: skip
+def test_what_a_figure_advises_to_select_can_be_selected(
+    tmp_path: Path, scan: dict[str, str]
+) -> None:
+    data = postproc.open_results(results_of(tmp_path, scan))
+    with pytest.raises(InputError, match="no place for") as refused:
+        postproc.plot.curves(data)
+    ((key, value),) = re.findall(r"--select (\w+)=(\S+)", str(refused.value))
+    assert key in selected(data, {key: float(value)}).coords
 
 
 def test_lifetimes_combine_runs_of_one_circuit_and_refuse_other_widths(tmp_path: Path) -> None:

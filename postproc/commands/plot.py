@@ -93,8 +93,8 @@ def main(arguments: list[str] | None = None) -> int:
     )  # fmt: skip
     cli.add_task(options)
     options.add_argument(
-        "--snapshot", type=cli.integer(1), metavar="K",
-        help="which snapshot a scene shows, from 1 (default: the last)",
+        "--snapshot", type=cli.integer(0), metavar="K",
+        help="which snapshot a scene shows, from 0 (default: the last)",
     )  # fmt: skip
     add_models(options)
     cli.add_output(options)
@@ -122,19 +122,20 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def _drawn(name: str, found: list[xr.Dataset], given: argparse.Namespace) -> Figure:
-    """Return the figure; the point and replica that are asked for are from 1."""
+    """Return the figure."""
     draw, points = FIGURES[name], found[0]
     words = signature(draw).parameters
     more: dict[str, object] = {}
-    if name in ONE_POINT and not given.point:
+    if name in ONE_POINT and given.point is None:
         need_only(points)
     if given.theory and "models" in words:
         more["models"] = asked(points, given.theory)
     if "task" in words:
         task = task_of(points, given.point, given.replica)
-        more |= {"task": task if given.point or given.replica or name in ONE_POINT else None}
-    if "snapshot" in words and given.snapshot:
-        more["snapshot"] = given.snapshot - 1
+        chosen = (given.point, given.replica) != (None, None) or name in ONE_POINT
+        more |= {"task": task if chosen else None}
+    if "snapshot" in words and given.snapshot is not None:
+        more["snapshot"] = given.snapshot
     return draw(found if name == "one_channel" else points, **more)
 
 

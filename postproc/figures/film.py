@@ -313,7 +313,7 @@ def film(
     file
         Path of the film: `.mp4`, or `.gif`, which has every second frame.
     point, replica
-        Of the task, from 1; None: the first that is complete.
+        Of the task, from 0; None: the first that is complete.
     seconds
         Length of the film, at most.
     verify

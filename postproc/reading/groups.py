@@ -117,7 +117,7 @@ def series_of(points: xr.Dataset, point: int, replica: int | None = None) -> lis
     replicas = slice(None) if replica is None else [replica]
     found = [one for _, one in each_series(points.isel(point=[point], replica=replicas))]
     if not found and points["complete"][point].any():
-        raise InputError(f"{files_of(points)}: the series of point {point + 1} is empty")
+        raise InputError(f"{files_of(points)}: the series of point {point} is empty")
     return found
 
 
@@ -127,7 +127,7 @@ def snapshots_of(points: xr.Dataset, point: int, replica: int) -> list[Snapshot]
     found = _checked(one, "snapshots", ("time", "x", "y", "ux", "uy"))
     found = found.isel(particle=slice(int(one["number"]))).dropna("time")
     if found.sizes["time"] == 0:
-        raise InputError(f"{files_of(points)}: no snapshot of point {point + 1} was reached")
+        raise InputError(f"{files_of(points)}: no snapshot of point {point} was reached")
     states = (found[name].values for name in ("x", "y", "ux", "uy"))
     return [Snapshot(float(one[0]), *one[1:]) for one in zip(found["time"], *states, strict=True)]
 

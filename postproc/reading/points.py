@@ -65,6 +65,8 @@ def mean_error(values: xr.DataArray, own_error: xr.DataArray | None = None) -> x
     >>> round(float(found["mean"]), 3), round(float(found["error"]), 3), int(found["replicas"])
     (0.25, 0.05, 2)
     """
+    if "replica" not in values.dims:
+        raise InputError(f"values: a variable with the dimension replica, not {values.dims}")
     good = values.notnull() & (abs(values) < math.inf)
     count = good.sum("replica")
     scatter = values.where(count > 1).std("replica", ddof=1) / np.sqrt(count.where(count > 1))
@@ -187,9 +189,10 @@ def need_only(points: xr.Dataset, *shown: str) -> None:
                for name in PARAMETERS if name in points and name not in free}  # fmt: skip
     varying = [name for name, one in columns.items() if np.unique(one).size > 1]
     if varying:
-        name = next(iter(varying))
-        scanned = FRACTIONS.get(name, name)
-        name = scanned if scanned in points.coords else name
+        # What is chosen is a key of the scan: of pairs the first, of fractions these.
+        first = varying[0].removesuffix("2")
+        known = (varying[0], first, FRACTIONS.get(first), *keys_of(points))
+        name = next(name for name in known if name in points.coords)
         values = np.unique(points[name])
         told = ", ".join(f"{one:g}" for one in values[:6])
         raise InputError(
@@ -199,22 +202,19 @@ def need_only(points: xr.Dataset, *shown: str) -> None:
 
 
 def task_of(points: xr.Dataset, point: int | None, replica: int | None) -> tuple[int, int]:
-    """Return point and replica of a task, from 0; the arguments are from 1.
-
-    An argument that is None is the first with a complete task.
-    """
+    """Return point and replica of a task; an argument that is None is the first complete one."""
     done = with_tasks(points)["complete"].values
     for what, one, count in zip(("point", "replica"), (point, replica), done.shape, strict=True):
-        if one is not None and not 1 <= one <= count:
-            raise InputError(f"{files_of(points)}: has {count} {what}(s), there is no {one}")
-    at = int(done.any(axis=1).argmax()) if point is None else point - 1
-    return at, int(done[at].argmax()) if replica is None else replica - 1
+        if one is not None and not 0 <= one < count:
+            raise InputError(f"{files_of(points)}: {what} {one} is not one of 0 to {count - 1}")
+    at = int(done.any(axis=1).argmax()) if point is None else point
+    return at, int(done[at].argmax()) if replica is None else replica
 
 
 def alike(points: xr.Dataset) -> list[Circuit]:
     """Return the circuits of points; raise `InputError` if urns or gates of one are unequal."""
     found = points["circuit"].values.tolist()
-    for at, one in enumerate(found, start=1):
+    for at, one in enumerate(found):
         if one.unlike:
             raise InputError(
                 f"{files_of(points)}: {one.unlike} at point {at}; "

@@ -72,6 +72,9 @@ def test_the_line_of_direction_does_not_depend_on_which_thresholds_are_asked() -
     assert alone == pytest.approx(line[1], rel=2e-4)
 
 
+SQUARE = (1.0, -1.0, 1.0, 1.0, -1.0, 1.0, -1.0, -1.0)
+
+
 @pytest.mark.parametrize(
     ("given", "message"),
     [
@@ -83,6 +86,8 @@ def test_the_line_of_direction_does_not_depend_on_which_thresholds_are_asked() -
             {"urn_vertices": (math.nan, -1, 1, 1, -1, 1)},
             "urn_vertices = (nan, -1, 1, 1, -1",
         ),
+        ({"urn_vertices": 5}, "urn_vertices = 5; allowed: two numbers for each"),
+        ({"urn_vertices": SQUARE, "urn_radius": 2.0}, "urn_radius = 2.0; allowed: only without"),
         ({"number": 1.5, "urn_sides": 5}, "urn_sides = 5; allowed: even numbers from 4 to 1000"),
     ],
 )
@@ -92,6 +97,8 @@ def test_what_is_not_allowed_is_named_with_what_is(given: dict[str, Any], messag
     assert message in str(refused.value)
     with pytest.raises(InputError, match="age = -1; allowed: one number from 0 up"):
         Circuit(number=1000, threshold=7).states(age=-1)
+    with pytest.raises(InputError, match=r"thresholds = \[2, 1.5\]; allowed: whole numbers"):
+        Circuit(number=1000, threshold=7).transition_line([2, 1.5])
 
 
 def test_eta_is_drawn_into_given_axes() -> None:

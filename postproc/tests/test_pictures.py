@@ -44,7 +44,7 @@ def run_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.parametrize("command", ["flows", "scene"])
 def test_pictures_are_written(command: str, run_file: Path, tmp_path: Path) -> None:
     folder = tmp_path / "new" / "folder"
-    words = [command, str(run_file), "--point", "1", "--theory", "window", "renewal"]
+    words = [command, str(run_file), "--point", "0", "--theory", "window", "renewal"]
     assert call("plot", [*words, "--output", str(folder)]) == 0
     name = f"run_{command}"
     assert sorted(path.name for path in folder.iterdir()) == [f"{name}.pdf", f"{name}.png"]
@@ -259,7 +259,7 @@ def test_a_film_reads_its_snapshots_at_once(
 
 def test_no_such_task(run_file: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert call("plot", ["flows", str(run_file), "--point", "9"]) == 2
-    assert "2 point(s)" in capsys.readouterr().err
+    assert "point 9 is not one of 0 to 1" in capsys.readouterr().err
 
 
 @pytest.mark.skipif(os.geteuid() == 0, reason="root may write anywhere")
@@ -295,16 +295,16 @@ def test_of_a_partial_run_a_task_that_is_done_is_drawn(
     results = points_of(path)
     assert remark(results) == "partial run: 1 of 4 tasks"
     assert task_of(results, None, None) == (1, 1)
-    assert task_of(results, 2, None) == (1, 1)
-    assert task_of(results, 1, 2) == (0, 1)
+    assert task_of(results, 1, None) == (1, 1)
+    assert task_of(results, 0, 1) == (0, 1)
     here = [str(path), "--output", str(tmp_path)]
-    assert call("plot", ["scene", *here, "--point", "2"]) == 0
+    assert call("plot", ["scene", *here, "--point", "1"]) == 0
     for name in ("comp05", "comp06"):
         assert call("plot", [name, *here, "--theory", "window"]) == 0
         assert "partial run: 1 of 4 tasks" in capsys.readouterr().err
     assert call("film", [*here, "--seconds", "0.2"]) == 0
     assert "partial run: 1 of 4 tasks" in capsys.readouterr().err
-    assert call("plot", ["flows", *here, "--point", "1"]) == 2
+    assert call("plot", ["flows", *here, "--point", "0"]) == 2
     assert capsys.readouterr().err.strip().splitlines()[-1].startswith("error: ")
 
 
@@ -368,6 +368,8 @@ def test_error_of_replicas_covers_their_spread() -> None:
     one = values[:, :1]
     assert (mean_error(one, xr.full_like(one, 0.07))["error"] == 0.07).all()
     assert np.isnan(mean_error(one)["error"]).all()
+    with pytest.raises(InputError, match="a variable with the dimension replica"):
+        mean_error(one.isel(replica=0))
     assert (mean_error(values[:, :2])["error"] > 0.0).all()
 
 
