@@ -9,6 +9,7 @@ import numpy as np
 from matplotlib.ticker import MaxNLocator
 
 from postproc.figures import style
+from postproc.theory.states import State
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -122,10 +123,10 @@ def _parts(
     reached, number = settled_number2(circuit, series), float(circuit.number)
     levels = []
     for model in models:
-        state = model.reached(circuit, start2)
-        second = 0.5 * number if state is None else state.urn2_number
-        flipped = circuit.alike and (second > 0.5 * number) != (reached > 0.5 * number)
-        found = model.levels(circuit, number - second if flipped else second)
+        # with no stable state nothing flows
+        state = model.reached(circuit, start2) or State(0.5 * number, "neutral", 0.0, 0.0)
+        opposite = (state.urn2_number > 0.5 * number) != (reached > 0.5 * number)
+        found = model.levels(circuit, state, mirrored=circuit.alike and opposite)
         levels.append(found | {"current2": -found["current2"]})
     time, flows = series["time"].values, {name: series[name].values for name in FLOW_LOOK}
     ways = (("flow1_12", "flow1_21"), ("flow2_21", "flow2_12"))

@@ -72,20 +72,10 @@ def _stays(
     """Return state, start, duration of each stay, and whether it ended."""
     if time.size == 0:
         return []
-    places, states = [0], [0]
-    for at, value in enumerate(spread):
-        state = states[-1]
-        if abs(value) >= high:
-            state = 1 if value > 0.0 else -1
-        elif abs(value) <= low:
-            state = 0
-        if at == 0:
-            states[0] = state
-        elif state != states[-1]:
-            places.append(at)
-            states.append(state)
-    ends = [*time[places[1:]], time[-1]]
-    ended = [True] * (len(states) - 1) + [False]
-    stays = zip(states, places, ends, ended, strict=True)
-    return [(state, float(time[place]), float(end - time[place]), over)
-            for state, place, end, over in stays]  # fmt: skip
+    inside = np.where(abs(spread) <= low, 0.0, np.nan)  # of a state; else the last one goes on
+    known = pd.Series(np.where(abs(spread) >= high, np.sign(spread), inside))
+    states = known.ffill().fillna(0.0).to_numpy(int)
+    places = np.flatnonzero(np.append(True, states[1:] != states[:-1]))
+    ends = np.append(time[places[1:]], time[-1])
+    return [(int(states[place]), float(time[place]), float(end - time[place]), place < places[-1])
+            for place, end in zip(places, ends, strict=True)]  # fmt: skip

@@ -59,10 +59,11 @@ def test_a_line_that_remembers_comes_down_to_small_thresholds() -> None:
 def test_memory_says_what_the_channels_carry() -> None:
     """Flows of T = 7 as the program measures them; of equal urns the same both ways."""
     model = theories.MODELS["direction"]
-    found = model.levels(Circuit(1000, 7), 960.0)
+    circuit, even = Circuit(1000, 7), Circuit(1000, 18)
+    found = model.levels(circuit, model.reached(circuit, 960.0))
     assert found["current1"] == -found["current2"] == pytest.approx(1.0191, rel=0.01)
     assert found["flow1_12"] - found["flow1_21"] == pytest.approx(found["current1"], rel=0.02)
     assert found["flow2_12"] == pytest.approx(0.0133, abs=0.002)
-    even = model.levels(Circuit(1000, 18), 480.0)
-    assert even["current2"] == pytest.approx(0.0, abs=1e-6)
-    assert even["flow1_12"] == pytest.approx(12.7, rel=0.03)
+    alike = model.levels(even, model.reached(even, 480.0))
+    assert alike["current2"] == pytest.approx(0.0, abs=1e-6)
+    assert alike["flow1_12"] == pytest.approx(12.7, rel=0.03)

@@ -18,6 +18,7 @@ from postproc.theory.circuit import Circuit
 from postproc.theory.model import Model
 from postproc.theory.models import MODELS, defaults
 from postproc.theory.outlines import regular
+from postproc.theory.states import State
 
 ROOT = Path(__file__).resolve().parents[2]
 TWIN = replace(MODELS["renewal"], name="twin", label="the twin", colour="sky", adds_to="renewal")
@@ -44,7 +45,8 @@ def test_eta_is_zero_in_each_state(theory: str, circuit: Circuit) -> None:
     model = MODELS[theory]
     assert any(kind == "stable" for _, kind in model.zeros(circuit))
     for number, kind in model.zeros(circuit):
-        sent = sum(model.levels(circuit, number)[f"flow{one}_12"] for one in (1, 2))
+        levels = model.levels(circuit, State(number, kind, 0.0, 0.0))
+        sent = levels["flow1_12"] + levels["flow2_12"]
         allowed = sent * (1e-9 if model.mixed else 5e-3)
         assert float(model.eta(circuit, number)) == pytest.approx(0.0, abs=allowed)
         away = 0.01 * float(circuit.number) * (1.0 if kind == "stable" else -1.0)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -252,21 +253,15 @@ def eta(circuit: Circuit, urn2_number: ArrayLike) -> Floats:
     return flow1(one, first) + flow2(one, first) - flow1(two, second) - flow2(two, second)
 
 
-def eta_slope(circuit: Circuit, urn2_number: ArrayLike) -> Floats:
-    """Return d eta/d N2: a stationary state is stable where it is negative (per unit time)."""
-    second = np.asarray(urn2_number, float)
-    first = np.asarray(circuit.number, float) - second
-    one, two = circuit.sides
-    return -_outflow_slope(one, first) - _outflow_slope(two, second)
+def stability(circuit: Circuit, width: ArrayLike) -> Floats:
+    """Return the derivative of an urn's outflow by its number at N/2, up to a positive factor.
 
-
-def _outflow_slope(circuit: Circuit, number: Floats) -> Floats:
-    inside = in_urn(circuit, number)
-    slope = circuit.gate.slope(circuit.threshold, gate_load(circuit, inside))
-    widths = np.asarray(circuit.channel1_width) * slope + np.asarray(circuit.channel2_width)
-    if circuit.occupation:
-        widths = widths / _held_slope(circuit, inside)
-    return widths / (np.pi * circuit.urn_area)
+    Equal urns with channels 2 of these widths are stable where it is positive.
+    """
+    at_width = replace(circuit, channel2_width=width)
+    load = gate_load(at_width, in_urn(at_width, 0.5 * float(np.asarray(circuit.number))))
+    slope = circuit.gate.slope(circuit.threshold, load)
+    return np.asarray(width) + float(circuit.channel1_width) * slope
 
 
 def log_outflow(circuit: Circuit, number: ArrayLike) -> Floats:
@@ -303,7 +298,7 @@ def homogeneous_kind(circuit: Circuit) -> str:
     """Return whether N2 = N/2 is "stable" or "unstable" ("neutral": there is no flow)."""
     half = 0.5 * float(np.asarray(circuit.number))
     if float(circuit.channel2_width) > 0.0:
-        return "stable" if float(eta_slope(circuit, half)) <= 0.0 else "unstable"
+        return "stable" if float(stability(circuit, circuit.channel2_width)) >= 0.0 else "unstable"
     if float(circuit.threshold) == 0.0:
         return "neutral"
     near = half * (1.0 + 1e-6)
@@ -317,23 +312,16 @@ def transition_width(circuit: Circuit) -> float:
     The least w' at which the homogeneous state turns stable; `channel2_width` is not used. There is
     none where that state is stable without channel 2, or unstable for every w' that fits.
     """
-    limit = circuit.widest
-
-    def slope(width: ArrayLike) -> Floats:
-        at_width = replace(circuit, channel2_width=width)
-        half = 0.5 * float(np.asarray(circuit.number))
-        x = gate_load(at_width, in_urn(at_width, half))
-        return width + float(circuit.channel1_width) * circuit.gate.slope(circuit.threshold, x)
-
-    widths = limit * np.linspace(0.0, 1.0, WIDTHS_TRIED, endpoint=False)
-    values = slope(widths)
+    widths = circuit.widest * np.linspace(0.0, 1.0, WIDTHS_TRIED, endpoint=False)
+    values = stability(circuit, widths)
     if values[0] == 0.0:
         return 0.0  # underflow
     changes = np.flatnonzero((values[:-1] < 0.0) & (values[1:] >= 0.0))
     if values[0] > 0.0 or changes.size == 0:
         return math.nan
     at = changes[0]
-    return float(optimize.brentq(slope, widths[at], widths[at + 1], xtol=1e-15, rtol=1e-14))
+    ends = widths[at], widths[at + 1]
+    return float(optimize.brentq(partial(stability, circuit), *ends, xtol=1e-15, rtol=1e-14))
 
 
 def single_urn_current(urn: Circuit) -> Floats:

@@ -10,6 +10,7 @@ Source: Cirillo, Colangeli, Richardson, Rondoni, PRE 103, 032119 (2021), appendi
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
@@ -25,8 +26,6 @@ FRACTION_LEVELS = 200
 class Gate(Protocol):
     """A model of the gate: thresholds and loads broadcast, arrays in, arrays out."""
 
-    name: str
-
     def share(self, threshold: ArrayLike, load: ArrayLike) -> NDArray[np.float64]:
         """Return the share of the entries that gets through, between 0 and 1."""
 
@@ -37,14 +36,9 @@ class Gate(Protocol):
         """Return d(load * share)/d(load)."""
 
 
+@dataclass(frozen=True)
 class WindowGate:
     """The paper's gate: at most T Poisson entries in a window of length tau, eq. (eqapp4)."""
-
-    name = "window"
-
-    def __repr__(self) -> str:
-        """Return the same text in each process: stored results are found by it."""
-        return self.name
 
     def share(self, threshold: ArrayLike, load: ArrayLike) -> NDArray[np.float64]:
         """Return Q(T, x) = Gamma(T, x)/(T-1)!, eq. (eqapp5); 0 for T = 0: nothing passes."""

@@ -19,12 +19,12 @@ from postproc.progress import each
 from postproc.theory.chain import Lifetimes, between, lifetimes, passage_times
 from postproc.theory.circuit import (
     PAPERS_AGE,
+    WIDTHS_TRIED,
     eta,
     flow1,
     flow2,
-    gate_load,
-    in_urn,
     single_urn_current,
+    stability,
     transition_width,
 )
 from postproc.theory.kept import kept
@@ -44,7 +44,6 @@ if TYPE_CHECKING:
 
 STRONGEST = 4.0  # load of a gate over T at which a transition is a jump, whatever T
 STEPS = 20  # points on a line of transition from one integer T to the next
-WIDTHS = 400  # values between w' = 0 and 2r at which a transition is searched for
 FEW_WIDTHS = 13  # for a slower theory, up to somewhat beyond the line of well mixed urns
 WIDER = 1.3  # how far beyond
 NEAR = 2.0  # factor to both sides of such a first value within which the zero is
@@ -214,12 +213,6 @@ class Model:
         found += [(total - number, kind) for number, kind in found]
         return [*found, (0.5 * total, self.homogeneous_kind(circuit))]
 
-    def nearest_stable(self, circuit: Circuit, number2: float) -> float:
-        """Return N2 of the stable state (either sign of N2 - N1) nearest to `number2`."""
-        stable = [number for number, kind in self.zeros(circuit) if kind != "unstable"]
-        # with none nothing flows, and any N2 stays
-        return min(stable, key=lambda number: abs(number - number2), default=number2)
-
     def eta(self, circuit: Circuit, number2: ArrayLike) -> Floats:
         """Return eta of eq. (eq007), the gain of urn 2 (per unit time); NaN if it has none."""
         second = np.asarray(number2, float)
@@ -233,32 +226,25 @@ class Model:
         known = (second >= places.min()) & (second <= places.max())
         return np.where(known, one - two, math.nan)
 
-    def levels(self, circuit: Circuit, number2: float) -> dict[str, float]:
-        """Return flows and net current (per unit time) of the stable state nearest to `number2`.
+    def levels(self, circuit: Circuit, state: State, *, mirrored: bool = False) -> dict[str, float]:
+        """Return flows and net current (per unit time) of a state, or of its mirror image.
 
         By name, as in results: flow1_12 ... flow2_21, current1 and current2, which are opposite.
         Circulation is included: it goes from the fuller urn through channel 2.
         """
-        own, second = self.of(circuit), self.nearest_stable(circuit, number2)
+        own, second = self.of(circuit), state.urn2_number
         carried = self.theory.flows or _carried
         flows = np.array(
             self._cached("flows", circuit, lambda: carried(own, second).tolist(), second)
         )
-        states = self.states(circuit)
-        pairs = [abs(second - one.urn2_number) for one in states]
-        if own.alike:
-            pairs += [abs(own.number - second - one.urn2_number) for one in states]
-        around = 0.0
-        if pairs and min(pairs) < 1e-6 * float(own.number):
-            state = states[int(np.argmin(pairs)) % len(states)]
-            around = abs(state.circulating_current or 0.0)
+        around = abs(state.circulating_current or 0.0)
         fuller = int(2.0 * second > float(own.number))
         flows[1, fuller] += around
         flows[0, 1 - fuller] += around
         found = {
             f"flow{channel}_{way}": float(flows[channel - 1, at])
             for channel in (1, 2)
-            for at, way in enumerate(("12", "21"))
+            for at, way in enumerate(("21", "12") if mirrored else ("12", "21"))
         }
         current2 = found["flow2_12"] - found["flow2_21"]
         return {**found, "current1": 0.0 - current2, "current2": current2}  # no -0.0
@@ -385,15 +371,8 @@ def _carried(circuit: Circuit, number2: float) -> Floats:
 
 
 def _mixed_line(circuit: Circuit, whole: NDArray[np.int_], label: str) -> tuple[Floats, Floats]:
-    widths = np.linspace(0.0, 2.0 * float(circuit.urn_radius), WIDTHS, endpoint=False)
-    return _line(circuit, whole, widths, _mixed_stability, label)
-
-
-def _mixed_stability(circuit: Circuit, widths: Floats) -> Floats:
-    """Return the derivative of an urn's outflow by N1, up to a positive factor."""
-    at_width = replace(circuit, channel2_width=widths)
-    load = gate_load(at_width, in_urn(at_width, 0.5 * float(circuit.number)))
-    return widths + float(circuit.channel1_width) * circuit.gate.slope(circuit.threshold, load)
+    widths = np.linspace(0.0, circuit.widest, WIDTHS_TRIED, endpoint=False)
+    return _line(circuit, whole, widths, stability, label)
 
 
 def _line(

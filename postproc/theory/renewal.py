@@ -21,13 +21,14 @@ Above T = 100 logits are interpolated, at equal coordinates along the transition
 from __future__ import annotations
 
 import json
+from dataclasses import dataclass
 from functools import cache, cached_property, lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.polynomial import chebyshev
-from scipy import optimize, special
+from scipy import special
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
@@ -70,41 +71,18 @@ def coordinates(threshold: ArrayLike, load: ArrayLike) -> tuple[Floats, Floats]:
     return along, np.clip(across, -1.0, 1.0)
 
 
-def exponential_share(threshold: ArrayLike, load: ArrayLike) -> tuple[Floats, Floats]:
-    """Return (share through, share reversed) for exponential times inside, in closed form.
+def exponential_logit(threshold: ArrayLike, load: ArrayLike) -> Floats:
+    """Return log(share/(1 - share)) for exponential times inside; T at least 1, loads above 0.
 
-    With u_n = 1/B(n, x) from u_n = 1 + (n/x) u_(n-1), e C is their sum; the share through is also
-    a sum, sum(u_n - 1), so that a small share is accurate.
+    The sum of 1/B(n, x) over n = 0 ... T is that of (T + 1)!/((T - k)! (k + 1)) x^-k over k = 0 ...
+    T. Its term at k = 0 is T + 1; so the logit is the logarithm of the others over that.
     """
     count, x = np.broadcast_arrays(np.asarray(threshold, float), np.asarray(load, float))
-    if x.size == 1:
-        one, other = _exponential_share_of_one(int(count.flat[0]), float(x.flat[0]))
-        return np.full(x.shape, one), np.full(x.shape, other)
-    inverse, entries, through = np.ones(x.shape), np.ones(x.shape), np.zeros(x.shape)
-    safe = np.where(x > 0.0, x, 1.0)
-    one = _only(count)
-    with np.errstate(over="ignore", invalid="ignore"):
-        for level in range(1, int(count.max(initial=0.0)) + 1):
-            more = level / safe * inverse
-            inverse = np.minimum(1.0 + more, 1e300)
-            if one is not None:  # each level is one of all gates
-                entries += inverse
-                through += np.minimum(more, 1e300)
-                continue
-            on = level <= count
-            entries = np.where(on, entries + inverse, entries)
-            through = np.where(on, through + np.minimum(more, 1e300), through)
-    return through / entries, (count + 1.0) / entries
-
-
-def _exponential_share_of_one(threshold: int, load: float) -> tuple[float, float]:
-    """Do the same for one pair of numbers, without the cost of arrays."""
-    inverse, entries, through = 1.0, 1.0, 0.0
-    for level in range(1, threshold + 1):
-        more = min(level / load * inverse, 1e300) if load > 0.0 else 1e300
-        inverse = min(1.0 + more, 1e300)
-        entries, through = entries + inverse, through + more
-    return through / entries, (threshold + 1.0) / entries
+    k = np.arange(1, int(count.max(initial=1.0)) + 1).reshape(-1, *[1] * x.ndim)
+    terms = special.gammaln(count + 2.0) - special.gammaln(count - k + 1.0)
+    terms = terms - np.log(k + 1.0) - k * np.log(x)
+    top = terms.max(axis=0)
+    return top + np.log(np.exp(terms - top).sum(axis=0)) - np.log(count + 1.0)
 
 
 def _only(threshold: Floats) -> float | None:
@@ -134,26 +112,17 @@ def share_of_one(load: Floats) -> Floats:
     return alone / (2.0 - alone)
 
 
-def fluid_share(relative_load: float) -> float:
-    """Return the share in the limit of large T at load rho T: 1 up to rho = 1, 0 from pi/2."""
-    if relative_load <= 1.0:
-        return 1.0
-    if relative_load >= 0.5 * np.pi:
-        return 0.0
-    filled = 0.5 * np.pi / relative_load
-
-    def missing(time: float) -> float:
-        return time - np.sqrt((time - 1.0) * (time + 1.0)) + np.arccos(1.0 / time) - filled
-
-    return 1.0 - filled / optimize.brentq(missing, 1.0, 1e12, xtol=1e-14)
-
-
 @cache
 def _fluid_logits() -> tuple[Floats, Floats]:
-    """Return coordinates along the transition and the fluid's logit there, for interpolation."""
-    places = FLUID_RANGE * np.sin(0.5 * np.pi * np.linspace(-1.0, 1.0, 401))
-    shares = [fluid_share((0.5 * np.pi) ** (0.5 * (1.0 + one))) for one in places]
-    return places, special.logit(np.array(shares))
+    """Return coordinates along the transition and the fluid's logit there, for interpolation.
+
+    It is solved by the angle a: T is reached at the time t with l/(2 t) = cos(a), the load is rho T
+    with rho = (pi/2)/(a + tan(pi/4 - a/2)), and the share is sin(a) - a cos(a).
+    """
+    angle = 0.5 * np.pi * np.sin(0.5 * np.pi * np.linspace(1.0, 0.0, 4001)[1:-1]) ** 2
+    relative_load = 0.5 * np.pi / (angle + np.tan(0.25 * np.pi - 0.5 * angle))
+    along = 2.0 * np.log(relative_load) / np.log(0.5 * np.pi) - 1.0
+    return along, special.logit(np.sin(angle) - angle * np.cos(angle))
 
 
 def _least_logit(threshold: Floats, load: Floats) -> Floats:
@@ -171,14 +140,9 @@ def _least_logit(threshold: Floats, load: Floats) -> Floats:
     return np.where(below & (out < 0.0), np.log(-np.expm1(np.minimum(out, -1e-300))) - out, -np.inf)
 
 
+@dataclass(frozen=True)
 class RenewalGate:
     """The gate as a queue that is emptied; the module's docstring explains its share."""
-
-    name = "renewal"
-
-    def __repr__(self) -> str:
-        """Return the same text in each process: stored results are found by it."""
-        return self.name
 
     @cached_property
     def fit(self) -> dict[str, object]:
@@ -203,7 +167,6 @@ class RenewalGate:
         return np.where(large, self._beyond(np.where(large, count, LARGEST_THRESHOLD), x), found)
 
     def _fitted(self, threshold: Floats, load: Floats) -> Floats:
-        through, out = exponential_share(threshold, load)
         along, across = coordinates(threshold, load)
         inside = np.clip(along, -1.0, 1.0)
         correction = self._polynomial(self._coefficients, inside, across, threshold)
@@ -211,8 +174,7 @@ class RenewalGate:
         if np.any(beyond):
             slope = self._polynomial(self._slopes, inside, across, threshold)
             correction = np.where(beyond, correction + slope * (along - 1.0), correction)
-        with np.errstate(divide="ignore"):
-            return np.log(through) - np.log(out) + correction
+        return exponential_logit(threshold, load) + correction
 
     @staticmethod
     def _polynomial(
@@ -234,7 +196,8 @@ class RenewalGate:
             with np.errstate(over="ignore"):
                 own = np.exp(first + 0.5 * (last - first) * (1.0 + along))
             logits.append(self._fitted(np.full(own.shape, float(knot)), np.clip(own, 1e-3, 1e300)))
-        logits.append(np.interp(along, *_fluid_logits()))
+        within = np.clip(along, -FLUID_RANGE, FLUID_RANGE)
+        logits.append(np.interp(within, *_fluid_logits()))
         places = np.array([*(1.0 / np.sqrt(knot) for knot in KNOTS), 0.0])
         at, total = 1.0 / np.sqrt(threshold), np.zeros(load.shape)
         for one, logit in enumerate(logits):
@@ -245,10 +208,7 @@ class RenewalGate:
 
     def share(self, threshold: ArrayLike, load: ArrayLike) -> Floats:
         """Return the share of the entries that gets through: 1 at load 0, 0 for T = 0."""
-        count, x = np.broadcast_arrays(np.asarray(threshold, float), np.asarray(load, float))
-        moves = (count > 0) & (x > 0.0)
-        share = special.expit(self.logit(np.where(count > 0, count, 1.0), np.where(moves, x, 1.0)))
-        return np.where(count > 0, np.where(x > 0.0, share, 1.0), 0.0)
+        return np.exp(self.log_share(threshold, load))
 
     def log_share(self, threshold: ArrayLike, load: ArrayLike) -> Floats:
         """Return log(share), finite where the share underflows."""

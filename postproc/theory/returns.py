@@ -33,7 +33,7 @@ from __future__ import annotations
 
 import math
 from functools import lru_cache
-from itertools import pairwise
+from itertools import pairwise, repeat
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -115,20 +115,9 @@ def _primitive(bits: int) -> tuple[Floats, Floats, Floats]:
     winds = np.arange(corners.size) - np.repeat(np.cumsum(n // 2) - n // 2, n // 2) + 1
     own = np.gcd(winds, corners) == 1
     corners, winds = corners[own], winds[own]
-    h = 2.0 * _inverse(2 * winds, corners) / corners - 1.0
+    inverse = list(map(pow, (2 * winds).tolist(), repeat(-1), corners.tolist()))
+    h = 2.0 * np.array(inverse) / corners - 1.0
     return corners.astype(float), h, math.pi * winds / corners
-
-
-def _inverse(number: Integers, modulus: Integers) -> Integers:
-    """Return 1/number mod modulus, by Euclid's algorithm."""
-    rest, next_rest = modulus, np.mod(number, modulus)
-    found, after = np.zeros_like(number), np.ones_like(number)
-    while np.any(next_rest > 0):
-        on = next_rest > 0
-        times = rest // np.where(on, next_rest, 1)
-        rest, next_rest = np.where(on, next_rest, rest), np.where(on, rest - times * next_rest, 0)
-        found, after = np.where(on, after, found), np.where(on, found - times * after, after)
-    return np.mod(found, modulus)
 
 
 def _integral(

@@ -14,7 +14,7 @@ from postproc.cli import InputError, existing_file
 from postproc.theory.renewal import (
     RenewalGate,
     coordinates,
-    exponential_share,
+    exponential_logit,
     load_range,
     share_of_one,
 )
@@ -93,11 +93,6 @@ def _difference(
     return np.array(places).T, (first - second) / (second * (1.0 - second)), second
 
 
-def _base(threshold: Floats, load: Floats) -> Floats:
-    through, out = exponential_share(threshold, load)
-    return np.log(through) - np.log(out)
-
-
 def fit(rows: Floats, shares: Floats) -> dict[str, object]:
     """Return coefficients, shape DEGREES + 1, and measures of their accuracy."""
     cell_places, cell_step, cell_share = _difference(rows, shares, (2, 16), (2, 8))
@@ -115,8 +110,8 @@ def fit(rows: Floats, shares: Floats) -> dict[str, object]:
     points = np.hstack([points, [np.ones(LOADS), exact]])
     logit = np.concatenate([logit, special.logit(share_of_one(exact))])
     share = special.expit(logit)
-    coefficients = _polynomial(points, logit - _base(*points), share, DEGREES)
-    fitted = _base(*points) + chebyshev.chebval2d(*coordinates(*points), coefficients)
+    coefficients = _polynomial(points, logit - exponential_logit(*points), share, DEGREES)
+    fitted = exponential_logit(*points) + chebyshev.chebval2d(*coordinates(*points), coefficients)
     return {
         "places": len(share),
         "largest_misfit": float(np.abs(special.expit(fitted) - share).max()),
