@@ -96,7 +96,7 @@ def add_task(options: argparse.ArgumentParser) -> None:
     add_verify(options)
     for key, meaning in (("point", "parameter point"), ("replica", "replica")):
         help_text = f"{meaning}, from 0 (default: the first done)"
-        options.add_argument(f"--{key}", type=integer(0), help=help_text)
+        options.add_argument(f"--{key}", type=allowed(int, 0), help=help_text)
 
 
 def extra(name: str, module: str) -> ModuleType:
@@ -157,29 +157,18 @@ def ended_with_python(command: Sequence[str | Path]) -> list[str]:
     return [sys.executable, "-I", "-S", "-c", ENDED_WITH, str(os.getpid()), *words]
 
 
-def integer(low: int, high: int = 2**31 - 1) -> Callable[[str], int]:
-    """Return a function that converts an argument to an integer from `low` to `high`."""
-
-    def read(text: str) -> int:
-        value = int(text)
-        if not low <= value <= high:
-            raise argparse.ArgumentTypeError(f"{value} must be at least {low} and at most {high}")
-        return value
-
-    read.__name__ = "int"
-    return read
-
-
-def number(low: float, high: float = 1e100) -> Callable[[str], float]:
+def allowed(
+    kind: type[int] | type[float], low: float, high: float = 2**31 - 1
+) -> Callable[[str], float]:
     """Return a function that converts an argument to a number from `low` to `high`."""
 
     def read(text: str) -> float:
-        value = float(text)
+        value = kind(text)
         if not low <= value <= high:
             raise argparse.ArgumentTypeError(f"{text} must be at least {low} and at most {high}")
         return value
 
-    read.__name__ = "float"
+    read.__name__ = kind.__name__
     return read
 
 

@@ -58,7 +58,7 @@ def phase_diagram(
     need_only(points, *keys)
     lines, marks = maps.of_theory(points, keys, asked(points, theory))
     axes = _axes(ax)
-    mesh = maps.draw_map(axes, points, keys, values, own | look)
+    mesh = maps.draw_map(axes, points, keys, maps.map_of(points, keys, values), own | look)
     maps.draw_lines(axes, lines, marks)
     return mesh
 

@@ -93,7 +93,7 @@ def main(arguments: list[str] | None = None) -> int:
     )  # fmt: skip
     cli.add_task(options)
     options.add_argument(
-        "--snapshot", type=cli.integer(0), metavar="K",
+        "--snapshot", type=cli.allowed(int, 0), metavar="K",
         help="which snapshot a scene shows, from 0 (default: the last)",
     )  # fmt: skip
     add_models(options)

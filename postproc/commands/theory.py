@@ -29,7 +29,7 @@ def main(arguments: list[str] | None = None) -> int:
         "--tricritical", action="store_true", help="where the transition turns into a jump"
     )
     options.add_argument(
-        "--age", type=cli.number(0.0), metavar="A",
+        "--age", type=cli.allowed(float, 0.0, 1e100), metavar="A",
         help=f"of the run, for its net current (default: {PAPERS_AGE:g}, that of the paper's runs)",
     )  # fmt: skip
     given = options.parse_args(arguments)

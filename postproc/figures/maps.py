@@ -71,7 +71,7 @@ def map_axes(points: xr.Dataset) -> Keys:
     raise cli.InputError(f"a map needs two keys, {found}: figure 'curves' shows it")
 
 
-def map_of(points: xr.Dataset, keys: Keys, values: Sequence[object]) -> pd.DataFrame:
+def map_of(points: xr.Dataset, keys: Keys, values: Sequence[object] | Floats) -> pd.DataFrame:
     """Return `values` at points as a map over two keys, shape (up, across), NaN without a point.
 
     Raises `InputError` if two points have the same place.
@@ -135,10 +135,9 @@ def of_theory(points: xr.Dataset, keys: Keys, models: Sequence[Model]) -> tuple[
 
 
 def draw_map(
-    axes: Axes, points: xr.Dataset, keys: Keys, values: Floats, look: dict[str, object]
+    axes: Axes, points: xr.Dataset, keys: Keys, shown: pd.DataFrame, look: dict[str, object]
 ) -> QuadMesh:
-    """Draw values at points as cells, grey where there is none; return matplotlib's mesh."""
-    shown = map_of(points, keys, values)
+    """Draw a map of points as cells, grey where there is none; return matplotlib's mesh."""
     x, y = (edges(one.to_numpy(float)) for one in (shown.columns, shown.index))
     labels, number = [SYMBOLS.get(name, name) for name in keys], np.unique(points["number"])
     if keys[0] == "threshold" and number.size == 1:
@@ -182,49 +181,29 @@ def figure_phase_diagram(points: xr.Dataset, models: Sequence[Model] = ()) -> Fi
     need_only(points, *keys, "start")
     models = models or (default(points) if has_lines(keys) else ())
     lines, marks = of_theory(points, keys, models)
-    starts = by_start(points)
-    rows = len(starts) + (len(starts) == 2)
-    made = style.figure(style.PAGE, 0.5 + 2.35 * rows)
-    panels = made.subplots(rows, 2, squeeze=False, sharex=True, sharey=True)
-    currents = means(points, "polarised_current")[0]
-    most = float(np.nanmax(currents, initial=0.0)) or 1.0  # no current without channel 2
-    for row, (name, part) in enumerate(starts):
-        for axes, quantity in zip(panels[row], LOOKS, strict=True):
-            values, label, look = values_of(part, quantity)
-            mesh = draw_map(axes, part, keys, values, {"vmax": most, **look})
+    starts = [(name, {one: map_of(part, keys, means(part, one)[0]) for one in LOOKS})
+              for name, part in by_start(points)]  # fmt: skip
+    # no current without channel 2
+    currents = max(0.0, *(one["polarised_current"].max(axis=None) for _, one in starts)) or 1.0
+    rows = list(starts)
+    if len(starts) == 2:
+        (name, one), (other_name, other) = starts
+        rows.append((f"{other_name} less {name}", {key: other[key] - one[key] for key in LOOKS}))
+        if rows[-1][1]["chi"].isna().all(axis=None):
+            raise cli.InputError("figure numris: the two starts have no point in common")
+    made = style.figure(style.PAGE, 0.5 + 2.35 * len(rows))
+    panels = made.subplots(len(rows), 2, squeeze=False, sharex=True, sharey=True)
+    for row, (name, drawn) in enumerate(rows):
+        for axes, (quantity, shown) in zip(panels[row], drawn.items(), strict=True):
+            label, look = LOOKS[quantity]
+            if row == len(starts):
+                most = max(1e-9, shown.abs().max(axis=None))
+                look = {"vmin": -most, "vmax": most, "cmap": "PuOr"}
+            mesh = draw_map(axes, points, keys, shown, {"vmax": currents, **look})
             draw_lines(axes, lines, marks)
             made.colorbar(mesh, ax=axes, pad=0.02)
             axes.set_title(f"{label}\n{name}")
             axes.label_outer()
-    if len(starts) == 2:
-        _draw_differences(made, panels[-1], keys, starts, lines, marks)
     handles, labels = panels[0, 0].get_legend_handles_labels()
     style.legend_above(made, handles, labels, 3, fontsize=7.5)
     return made
-
-
-def _draw_differences(
-    made: Figure,
-    panels: Sequence[Axes],
-    keys: Keys,
-    starts: list[tuple[str, xr.Dataset]],
-    lines: Sequence[Line],
-    marks: Floats,
-) -> None:
-    """Draw the result of the more polarised start minus that of the other."""
-    (name, one), (other_name, other) = starts
-    places = [list(zip(*(part[key].values for key in keys), strict=True)) for part in (one, other)]
-    pairs = [(places[0].index(key), at) for at, key in enumerate(places[1]) if key in places[0]]
-    if not pairs:
-        raise cli.InputError("figure numris: the two starts have no point in common")
-    first, second = np.array(pairs).T
-    for axes, quantity in zip(panels, LOOKS, strict=True):
-        values, label, _ = values_of(other, quantity)
-        difference = values[second] - values_of(one, quantity)[0][first]
-        most = max(float(np.nanmax(np.abs(difference), initial=0.0)), 1e-9)
-        look = {"vmin": -most, "vmax": most, "cmap": "PuOr"}
-        mesh = draw_map(axes, other.isel(point=second), keys, difference, look)
-        draw_lines(axes, lines, marks)
-        made.colorbar(mesh, ax=axes, pad=0.02)
-        axes.set_title(f"{label}\n{other_name} less {name}")
-        axes.label_outer()

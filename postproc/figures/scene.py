@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -42,39 +43,21 @@ def of_side(
 
 
 def walls(circuit: Circuit) -> list[NDArray[np.float64]]:
-    """Return the walls as polylines of shape (vertex, 2)."""
-    if circuit.outline is not None:
-        return _walls_of_polygons(circuit)
-    half1, half2 = 0.5 * circuit.channel1_width, 0.5 * circuit.channel2_width
-    lines = []
-    for way, side in ways(circuit):
-        start, stop = (np.arcsin(half / side.urn_radius) for half in (half1, half2))
-        angle = np.linspace(start, np.pi - stop, 400)
-        x = np.append(0.0, side.urn_centre - side.urn_radius * np.cos(angle))
-        y = np.append(half1, side.urn_radius * np.sin(angle))
-        if circuit.channel2_width > 0.0:
-            x, y = np.append(x, side.end), np.append(y, half2)
-        lines += [np.column_stack([way * x, flip * y]) for flip in (1.0, -1.0)]
-    if circuit.shape != "circuit":
-        lines.append(np.array([[0.0, -half1], [0.0, half1]]))
-    return lines
-
-
-def _walls_of_polygons(circuit: Circuit) -> list[NDArray[np.float64]]:
-    """Return the walls of urns that are polygons, with those of the channels at their openings."""
+    """Return the walls as polylines of shape (vertex, 2): of urns, and of channels from them on."""
     half1, half2 = 0.5 * circuit.channel1_width, 0.5 * circuit.channel2_width
     lines = []
     if circuit.shape != "circuit":
         lines.append(np.array([[0.0, -half1], [0.0, half1]]))
     for way, side in ways(circuit):
-        corner = outlines.centred(side.outline) - [float(side.urn_centre), 0.0]
-        first = outlines.opening_side(side.outline, 1.0)
-        corner = np.roll(corner, -first - 1, axis=0)
+        outline = side.outline or _arcs(side, half1, half2)
+        first = outlines.opening_side(outline, 1.0)
+        corner = np.roll(outline, -first - 1, axis=0)
+        corner -= [corner[0, 0] + 0.5 * float(side.channel1_length), 0.0]
         begins, far = float(corner[0, 0]), float(-side.urn_centre - side.chords[1])
         last = np.array([[begins, -half1], [0.0, -half1]])
         line = [np.array([[0.0, half1], [begins, half1]])]
         if half2 > 0.0:
-            second = outlines.opening_side(side.outline, -1.0)
+            second = outlines.opening_side(outline, -1.0)
             cut = (second - first - 1) % len(corner) + 1
             end = -float(side.end)
             line += [corner[:cut], np.array([[far, half2], [end, half2]])]
@@ -82,6 +65,16 @@ def _walls_of_polygons(circuit: Circuit) -> list[NDArray[np.float64]]:
             line, corner = [np.array([[end, -half2], [far, -half2]])], corner[cut:]
         lines.append(np.vstack([*line, corner, last]) * [-way, 1.0])
     return lines
+
+
+def _arcs(side: Circuit, half1: float, half2: float) -> outlines.Outline:
+    """Return the arcs of a disc between its openings as an outline."""
+    start, stop = (math.asin(half / side.urn_radius) for half in (half1, half2))
+    angle = np.linspace(start, math.pi - stop, 400)
+    around = np.append(angle, -angle[::-1])
+    return tuple(
+        zip(side.urn_radius * np.cos(around), side.urn_radius * np.sin(around), strict=True)
+    )
 
 
 def gate_of(circuit: Circuit, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.int_]:

@@ -77,5 +77,7 @@ def _stays(
     states = known.ffill().fillna(0.0).to_numpy(int)
     places = np.flatnonzero(np.append(True, states[1:] != states[:-1]))
     ends = np.append(time[places[1:]], time[-1])
-    return [(int(states[place]), float(time[place]), float(end - time[place]), place < places[-1])
-            for place, end in zip(places, ends, strict=True)]  # fmt: skip
+    ended = np.arange(places.size) < places.size - 1
+    stays = zip(states[places], time[places], ends - time[places], ended, strict=True)
+    return [(int(state), float(start), float(length), bool(over))
+            for state, start, length, over in stays]  # fmt: skip

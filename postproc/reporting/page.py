@@ -16,6 +16,8 @@ import pandas as pd
 from bokeh.document import Document
 from bokeh.embed import file_html
 from bokeh.models import (
+    ArrowHead,
+    Axis,
     CDSView,
     ColorBar,
     ColumnDataSource,
@@ -32,6 +34,7 @@ from bokeh.models import (
     Select,
     TableColumn,
     TapTool,
+    Title,
     Whisker,
 )
 from bokeh.plotting import figure
@@ -317,7 +320,18 @@ class Page:
 WIDTH_OF_NUMBER, WIDTH_OF_LETTER = 84, 7  # pixels, in a table
 # Widths of the table of replicas: the sum fits on a telephone.
 WIDTHS = {"replica": 48, "chi": 94, "current": 98, "collisions": 62, "seconds": 54}
-INKED = ("axis_label_text", "major_label_text", "axis_line", "major_tick_line", "minor_tick_line")
+# Properties of the parts of a figure that have the colour of the text, and of the page.
+INKED = {
+    Title: ("text_color",),
+    Axis: ("axis_label_text_color", "major_label_text_color", "axis_line_color",
+           "major_tick_line_color", "minor_tick_line_color"),
+    Whisker: ("line_color",), ArrowHead: ("line_color",), Line: ("line_color",),
+    Legend: ("label_text_color",), ColorBar: ("major_label_text_color",),
+}  # fmt: skip
+PAPERED = {
+    figure: ("background_fill_color", "border_fill_color"), Legend: ("background_fill_color",),
+    ColorBar: ("background_fill_color",),
+}  # fmt: skip
 SERIES = {"spread": "(N1 - N2)/N", "current": "net current of channel 1, urn 1 to urn 2"}
 
 
@@ -349,24 +363,11 @@ def _table(
 
 def themed(figures: list[figure]) -> CustomJS:
     """Return a script that gives figures, drawn on canvas, the colours of the page's theme."""
-    inks, papers = [], []
-    for one in figures:
-        papers += [[one, "background_fill_color"], [one, "border_fill_color"]]
-        inks.append([one.title, "text_color"])
-        for axis in one.axis:
-            inks += [[axis, f"{part}_color"] for part in INKED]
-        for other in (*one.center, *one.right):
-            if isinstance(other, Whisker):
-                inks += [[part, "line_color"] for part in (other, other.upper_head,
-                                                           other.lower_head)]  # fmt: skip
-            elif isinstance(other, Legend):
-                inks.append([other, "label_text_color"])
-                papers.append([other, "background_fill_color"])
-            elif isinstance(other, ColorBar):
-                inks.append([other, "major_label_text_color"])
-                papers.append([other, "background_fill_color"])
-        inks += [[drawn.glyph, "line_color"] for drawn in one.renderers
-                 if isinstance(drawn.glyph, Line)]  # fmt: skip
+    parts = sorted(set().union(*(one.references() for one in figures)), key=lambda part: part.id)
+    inks, papers = (
+        [[part, name] for part in parts for kind, names in kinds.items() if isinstance(part, kind)
+         for name in names] for kinds in (INKED, PAPERED)
+    )  # fmt: skip
     return CustomJS(args={"inks": inks, "papers": papers}, code=THEMED)
 
 

@@ -184,7 +184,7 @@ def main(
         "--publish", action="store_true", help="copy tables and pictures beside the page"
     )
     options.add_argument(
-        "--ranks", type=cli.integer(1), default=2, help="MPI ranks of an ensemble (default: 2)"
+        "--ranks", type=cli.allowed(int, 1), default=2, help="MPI ranks of an ensemble (default: 2)"
     )
     options.add_argument("--program", type=Path, help="default: build/bin/battery")
     options.add_argument(

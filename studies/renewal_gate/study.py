@@ -27,10 +27,10 @@ def main(arguments: list[str] | None = None) -> int:
     """Solve, fit, check, write."""
     options = study.parser(__file__, __doc__)
     options.add_argument(
-        "--entries", type=cli.integer(1), help="simulate the checks anew, so many entries"
+        "--entries", type=cli.allowed(int, 1), help="simulate the checks anew, so many entries"
     )
     options.add_argument(
-        "--processes", type=cli.integer(1, 4096), default=2, help="how many at a time"
+        "--processes", type=cli.allowed(int, 1, 4096), default=2, help="how many at a time"
     )
     options.add_argument(
         "--data", type=Path, metavar="FILE.csv", help="keep the solutions here; reuse them"

@@ -43,7 +43,7 @@ def main(arguments: list[str] | None = None) -> int:
     pairs = parts.add_parser("ratios", help="run another build and the present one in turn")
     pairs.add_argument("base", metavar="BASE", type=Path, help="the other program `bench`")
     pairs.add_argument("--program", type=Path, default=ROOT / "build/bin/bench")
-    pairs.add_argument("--rounds", type=cli.integer(1), default=ROUNDS, help="pairs of runs")
+    pairs.add_argument("--rounds", type=cli.allowed(int, 1), default=ROUNDS, help="pairs of runs")
     given = options.parse_args(arguments)
     console = Console(width=None if sys.stdout.isatty() else 100)
     if given.part == "run":
