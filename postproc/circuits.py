@@ -180,11 +180,12 @@ class Circuit:
         asked = np.asarray(given, int)
         if not own.alike or asked.size == 0:
             return asked.astype(float), np.full(asked.shape, math.nan)
-        line = known.transition_line(own, int(asked.min()), int(asked.max()))
+        line = known.transition_line(own, int(asked.min()), max(int(asked.max()), 1))
         # A gate of T = 0 lets nothing pass, and from T = N on none reverses.
         within = np.clip(asked, line[0][0], line[0][-1])
         widths = line[1][np.searchsorted(line[0], within)]
-        return asked.astype(float), np.where(asked == within, widths, 0.0)
+        widths = np.where(asked == within, widths, np.where(asked == 0, 0.0, math.nan))
+        return asked.astype(float), widths
 
     def lifetimes(self, theory: str = PAPERS) -> Lifetimes:
         """Return the mean times in which fluctuations end the homogeneous and polarised state.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import doctest
 import math
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -70,6 +71,29 @@ def test_the_line_of_direction_does_not_depend_on_which_thresholds_are_asked() -
     assert line == pytest.approx([2.130e-4, 1.3725e-3], rel=2e-3)
     alone = Circuit(number=1000, threshold=2).transition_width("direction")
     assert alone == pytest.approx(line[1], rel=2e-4)
+    assert Circuit(number=1000, threshold=0).transition_width("direction") == 0.0
+
+
+def test_a_narrow_channel_2_that_ends_the_battery_is_found_by_direction_too() -> None:
+    """Far below the narrowest width that it computes first; and w' = 0 is closed."""
+    circuit = Circuit(number=2000, threshold=2)
+    width = circuit.transition_width("direction")
+    assert width == pytest.approx(circuit.transition_width("renewal"), rel=0.05)
+    for factor, kind in ((0.0, "unstable"), (0.98, "unstable"), (1.02, "stable")):
+        state, *_ = replace(circuit, channel2_width=factor * width).states("direction")
+        assert state.kind == kind
+    closed = Circuit(number=2000, threshold=1, channel2_width=0.0)
+    assert [state.kind for state in closed.states("direction")] == ["unstable", "stable"]
+    with pytest.raises(InputError, match="finds no flows"):  # the gates carry less than it knows
+        replace(closed, number=1000, channel1_length=3.0).states("direction")
+
+
+def test_a_gate_that_never_reverses_has_no_line_of_transition() -> None:
+    """It is stable without channel 2: T = N and beyond, of all theories."""
+    for theory in ("window", "renewal", "direction"):
+        circuit = Circuit(number=10, threshold=10, channel1_length=3.0)
+        assert math.isnan(circuit.transition_width(theory))
+        assert np.isnan(circuit.transition_line([10, 27], theory)[1]).all()
 
 
 SQUARE = (1.0, -1.0, 1.0, 1.0, -1.0, 1.0, -1.0, -1.0)

@@ -55,7 +55,7 @@ if TYPE_CHECKING:
 
 POLYNOMIALS = 12
 DIFFUSION = 1.0 / 6.0 - 1.0 / math.pi**2  # D of narrow openings, in (w/r)^2 per visit
-NARROWEST = 1e-6  # width of channel 2, in radii, that represents a closed one
+NARROWEST = 1e-9  # width of channel 2, in radii, that represents a closed one
 ROUNDS = 80  # at most, of the iteration of gates and flows
 AGREED = 1e-5  # change of q, and of flows relative to the largest, at which it ends
 KEPT = 0.3  # weight of q of the previous iteration, against overshooting
@@ -361,7 +361,9 @@ def growth(circuit: Circuit) -> float:
     """Return a number with the sign of the growth of a small difference between equal urns."""
     equations = Directions(circuit)
     held = equations.held(0.5 * (1.0 - NEXT_TO_EQUAL))
-    if not equations.allow(held):
+    # a channel 2 that represents a closed one must carry less than the gates
+    closed = float(circuit.channel2_width) < NARROWEST * float(circuit.urn_radius)
+    if not equations.allow(held) or (closed and held.across[0, 0] > held.through[0]):
         raise _no_flows(circuit)
     return _excess(held)
 

@@ -46,7 +46,8 @@ STRONGEST = 4.0  # load of a gate over T at which a transition is a jump, whatev
 STEPS = 20  # points on a line of transition from one integer T to the next
 FEW_WIDTHS = 13  # for a slower theory, up to somewhat beyond the line of well mixed urns
 WIDER = 1.3  # how far beyond
-NEAR = 2.0  # factor to both sides of such a first value within which the zero is
+NEAR = 2.0  # factor to both sides of such a first value within which the zero is looked for first
+LEAST = 1e-6  # of it, down to which the zero is looked for
 
 
 def _no_extras(_: Circuit) -> dict[str, object]:
@@ -279,18 +280,23 @@ class Model:
         return thresholds, line * np.interp(thresholds, whole, factors)
 
     def _zero_near(self, circuit: Circuit, width: float) -> float:
-        """Return where the growth of a difference is 0, near a first value of w' if there."""
+        """Return where the growth of a difference is 0, next to a first value of w'.
+
+        It may be far below that, which is interpolated from w' = 0. NaN if it is not found.
+        """
 
         def growth(at: float) -> float:
             return self._growth(replace(circuit, channel2_width=at))
 
         def found() -> float:
-            ends = width / NEAR, NEAR * width
-            if not (width > 0.0 and growth(ends[0]) > 0.0 > growth(ends[1])):
-                return width
-            return float(optimize.brentq(growth, *ends, rtol=1e-4))
+            low, high = width / NEAR, NEAR * width
+            while growth(low) <= 0.0 and low > LEAST * width:
+                low, high = low / NEAR**2, low
+            if not growth(low) > 0.0 > growth(high):
+                return math.nan
+            return float(optimize.brentq(growth, low, high, xtol=1e-4 * low, rtol=1e-4))
 
-        return float(self._cached("width", circuit, found, width))
+        return float(self._cached("width", circuit, found, width) if width > 0.0 else width)
 
     def _stability(self, circuit: Circuit, widths: Floats) -> Floats:
         """Return a function of w' that is negative where the homogeneous state is unstable.
