@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import errno
 import random
+import re
 import resource
 import shutil
 import signal
@@ -434,7 +436,29 @@ def test_flipped_byte_in_part(
     path = folder / "out.h5.tasks/rank_0"
     flip(path, int(share * path.stat().st_size))
     output = complete(folder, undisturbed)
-    assert f"{1 if share >= 0.5 else 0} of {TASKS} tasks are finished" in output
+    assert f"{1 if share > 0.0 else 0} of {TASKS} tasks are finished" in output
+
+
+@pytest.mark.parametrize("name", ["out.h5.tasks/rank_0", "out.h5.tasks/plan", "out.h5"])
+def test_what_cannot_be_read_is_neither_computed_again_nor_replaced(
+    tmp_path: Path, interrupted: Path, undisturbed: Path, lacking: str, name: str
+) -> None:
+    """An error of the system is no damage: of a file system that is away for a moment."""
+    folder = copy_of(interrupted, tmp_path)
+    if name == "out.h5":
+        shutil.copy(undisturbed, folder)
+    before = (folder / name).read_bytes()
+    away = {"LD_PRELOAD": lacking, "NO_READ_OF": f"/{name}", "NO_READ": str(errno.ESTALE)}
+    for option in ("--quiet", "--check", "--partial"):
+        ended = run(option, "case.nml", folder=folder, environment=away)
+        assert ended.returncode in (1, 2)
+        assert re.search(f"{name}:? cannot be read.*, and is kept.*Stale file handle", ended.stderr)
+    assert (folder / name).read_bytes() == before
+    assert sorted(path.name for path in folder.glob("out.h5*")) == sorted(
+        {"out.h5.tasks", name.partition("/")[0]}
+    )
+    (folder / "out.h5").unlink(missing_ok=True)
+    complete(folder, undisturbed)
 
 
 @pytest.mark.parametrize(

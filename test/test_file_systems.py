@@ -21,15 +21,6 @@ LACKS += [("NO_FOLDER_SYNC", number)
 READ = "import postproc; print(int(postproc.open_results('out.h5')['chi'].count()))"
 
 
-@pytest.fixture(scope="module")
-def lacking(tmp_path_factory: pytest.TempPathFactory) -> str:
-    """Build the library that takes the calls away."""
-    library = tmp_path_factory.mktemp("lacking") / "lacking.so"
-    source = ROOT / "test/support/lacking.c"
-    subprocess.run(["gcc", "-shared", "-fPIC", "-o", library, source, "-ldl"], check=True)
-    return str(library)
-
-
 CASE = {
     "particles": {"number": 60},
     "gate": {"threshold": 2},

@@ -311,9 +311,12 @@ def test_journal_makes_damaged_results_anew(stopped: Path, tmp_path: Path, damag
     folder = tmp_path / "run"
     shutil.copytree(stopped, folder)
     DAMAGES[damage](folder / "out.h5")
+    damaged = (folder / "out.h5").read_bytes()
     ended = run("case.nml", folder=folder)
     assert ended.returncode == 0, ended.stderr
-    assert "out.h5 is damaged, and is written anew from out.h5.tasks" in ended.stdout
+    kept = "out.h5 is damaged: it is kept as out.h5.damaged, and written anew from out.h5.tasks"
+    assert kept in ended.stdout
+    assert (folder / "out.h5.damaged").read_bytes() == damaged
     assert_same(folder / "out.h5", folder / "calm/out.h5")
     assert not (folder / "out.h5.tasks").exists()
 

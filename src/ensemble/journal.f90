@@ -17,7 +17,7 @@ module battery_journal
   use battery_text, only: string_type, to_text, is_one_of
   use battery_clocks, only: wall_seconds
   use battery_files, only: make_folder, sync_file, remove_file, publish_file, file_exists, &
-    files_matching
+    files_matching, is_readable
   use battery_lock_file, only: lock_type, is_lock_lost, lock_lost_text
   use battery_record_file, only: record_type, append_record, write_single_record, &
     read_single_record
@@ -28,7 +28,7 @@ module battery_journal
   implicit none (type, external)
   private
   public :: journal_type, find_journal, begin_journal, join_journal, rank_file, rank_files_of
-  public :: states_in, task_ids_of, check_lock, check_journal, remove_journal
+  public :: states_in, find_task_ids, check_lock, remove_journal
   public :: write_finished, sync_finished, write_state, read_state
 
   !> The journal as one rank accesses it.
@@ -85,16 +85,22 @@ contains
   !> Finds the files of earlier starts, and reads their plan. The folder is listed here only;
   !> `first_file` becomes the next free number of a rank file: greater than those of all files, and
   !> than those that earlier starts reserved for their ranks, used or not.
-  subroutine find_journal(journal, folder)
+  subroutine find_journal(journal, folder, error)
     type(journal_type), intent(out) :: journal
     !> Folder of the journal, which need not be there.
     character(len=*), intent(in) :: folder
+    !> What is there cannot be read.
+    type(error_type), allocatable, intent(out) :: error
     type(record_type) :: record
     integer :: files
 
     journal%folder = folder
     journal%names = journal_files(folder)
-    call read_single_record(folder//'/plan', record, journal%has_plan)
+    if (is_folder(folder) .and. .not. is_readable(folder)) call fatal_error(error, folder &
+      //': may not be read')
+    if (.not. allocated(error)) call check_journal(journal, error)
+    if (.not. allocated(error)) call read_single_record(folder//'/plan', record, &
+      journal%has_plan, error)
     files = 0
     if (journal%has_plan) then
       call serialize_plan(journal, files, record%archive_type)
@@ -129,10 +135,12 @@ contains
 
   !> `task_id` of the first valid record of every file but the plan: without a plan they show
   !> to which input the journal belongs.
-  function task_ids_of(journal) result(task_id)
+  subroutine find_task_ids(journal, task_id, error)
     !> From `find_journal`.
     type(journal_type), intent(in) :: journal
-    integer(int64), allocatable :: task_id(:)
+    integer(int64), allocatable, intent(out) :: task_id(:)
+    !> A file cannot be read.
+    type(error_type), allocatable, intent(out) :: error
     type(record_type) :: record
     logical :: found
     integer :: k
@@ -140,10 +148,11 @@ contains
     allocate (task_id(0))
     do k = 1, size(journal%names)
       if (index(journal%names(k)%text, 'plan') == 1) cycle
-      call read_single_record(journal%folder//'/'//journal%names(k)%text, record, found)
+      call read_single_record(journal%folder//'/'//journal%names(k)%text, record, found, error)
+      if (allocated(error)) return
       if (found) task_id = [task_id, record%owner]
     end do
-  end function task_ids_of
+  end subroutine find_task_ids
 
   !> Begins the journal: writes the plan, on rank 0, before any rank writes anything else.
   subroutine begin_journal(journal, namelist, initial_fingerprint, ranks, error)
@@ -304,7 +313,9 @@ contains
 
     cpu_seconds = 0.0_dp
     do k = 1, 2
-      call read_single_record(state_file(journal, task%task_id)//generations(k), state(k), found)
+      call read_single_record(state_file(journal, task%task_id)//generations(k), state(k), found, &
+        error)
+      if (allocated(error)) return
       if (state(k)%owner /= task%task_id) state(k) = record_type()
     end do
     ! The generation is 0 if a file is missing or holds the result of a task.

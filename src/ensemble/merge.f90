@@ -135,7 +135,8 @@ contains
     integer :: k
 
     sources%number = rank_files_of(sources%journal_type)
-    sources%reader = spread(record_reader_type(), 1, size(sources%number))
+    if (allocated(sources%reader)) deallocate (sources%reader)
+    allocate (sources%reader(size(sources%number)))
     sources%are_held = hold
     if (.not. hold) return
     if (may_open(size(sources%number) + others) == 0) then
@@ -251,6 +252,10 @@ contains
         if (.not. is_one) exit
         call add_result(found, place, [(size(found%of(group)%values, 1), group=1, size(found%of))])
       end do
+      if (allocated(sources%reader(k)%error)) then
+        call move_alloc(sources%reader(k)%error, error)
+        return
+      end if
       call close_rank_file(sources, k)
     end do
     if (any(results%task_status /= task_complete) .and. sources%old%id /= no_handle) &

@@ -7,8 +7,8 @@ module battery_startup
   use battery_checksum_footer, only: check_discardable
   use battery_error, only: error_type, fatal_error, exit_failure, exit_bad_input
   use battery_files, only: file_exists, remove_file, publish_file, file_stamp_type
-  use battery_journal, only: journal_type, find_journal, task_ids_of, begin_journal, join_journal, &
-    states_in, check_journal, remove_journal
+  use battery_journal, only: journal_type, find_journal, find_task_ids, begin_journal, &
+    join_journal, states_in, remove_journal
   use battery_lock_file, only: lock_type, acquire_lock, release_lock
   use battery_merge, only: collect_results, sources_type, open_sources, close_sources, &
     write_results_of
@@ -32,6 +32,8 @@ module battery_startup
   type :: progress_type
     !> Whether the results file is complete.
     logical :: complete = .false.
+    !> Whether there is one that is damaged.
+    logical :: is_damaged = .false.
     !> Number of finished tasks.
     integer :: finished = 0
     !> Number of tasks that have a saved state, from which they go on.
@@ -89,7 +91,6 @@ contains
 
       if (overwrite) call discard_output(plan, error)
       if (.not. allocated(error)) call inspect_output(plan, sources, progress, message, error)
-      if (.not. allocated(error)) call check_journal(sources%journal_type, error)
       if (allocated(error)) return
       complete = progress%complete
       pending = progress%pending
@@ -101,11 +102,24 @@ contains
         do at = 1, merge(0, size(remarks), quiet)
           call print_line('remark: '//remarks(at)%text)
         end do
-        call begin_journal(sources%journal_type, plan%text, plan%initial_fingerprint, &
-          communicator%size, error)
+        if (progress%is_damaged) call keep_damaged_file()
+        if (.not. allocated(error)) call begin_journal(sources%journal_type, plan%text, &
+          plan%initial_fingerprint, communicator%size, error)
         call order_tasks(plan, communicator%size, pending)
       end if
     end subroutine begin_on_rank0
+
+    !> Renames a damaged results file, of which somebody may want to save what the journal lacks.
+    subroutine keep_damaged_file()
+
+      if (file_exists(damaged_file(plan))) then
+        call fatal_error(error, damaged_file(plan)//': is there already; move it away', &
+          exit_bad_input)
+      else
+        call publish_file(plan%file, damaged_file(plan), error)
+        sources%old%stamp = file_stamp_type()
+      end if
+    end subroutine keep_damaged_file
 
   end subroutine find_pending_tasks
 
@@ -153,8 +167,7 @@ contains
     type(error_type), allocatable, intent(out) :: error
     type(journal_type) :: journal
 
-    call find_journal(journal, journal_folder(plan))
-    call check_journal(journal, error)
+    call find_journal(journal, journal_folder(plan), error)
     if (.not. allocated(error)) call check_discardable(plan%file, error)
     if (.not. allocated(error)) call remove_file(plan%file, error)
     if (.not. allocated(error)) call remove_journal(journal%folder, error)
@@ -193,9 +206,10 @@ contains
         call move_alloc(damage, error)
         return
       end if
-      message = plan%file//' is damaged, and is written anew from '//journal_folder(plan) &
-        //new_line_character
+      message = plan%file//' is damaged: it is kept as '//damaged_file(plan)//', and written ' &
+        //'anew from '//journal_folder(plan)//new_line_character
     end if
+    progress%is_damaged = allocated(damage)
     progress%pending = pending_tasks(plan, results)
     if (allocated(results%point_status)) call estimate_further_tasks(plan, results, progress)
     if (found) message = message//'going on: '//to_text(progress%finished)//' of ' &
@@ -229,6 +243,14 @@ contains
     if (any(decided)) progress%expected = others*(real(sum(results%replicas_needed, decided), dp) &
       /count(decided) - plan%first_replicas)
   end subroutine estimate_further_tasks
+
+  !> Path under which a damaged results file of a plan is kept.
+  pure function damaged_file(plan) result(path)
+    type(plan_type), intent(in) :: plan
+    character(len=:), allocatable :: path
+
+    path = plan%file//'.damaged'
+  end function damaged_file
 
   !> Folder of the journal of a plan.
   pure function journal_folder(plan) result(folder)
@@ -368,12 +390,13 @@ contains
     logical :: same
     integer :: k
 
-    call find_journal(journal, journal_folder(plan))
+    call find_journal(journal, journal_folder(plan), error)
+    if (allocated(error)) return
     if (journal%has_plan) then
       call compare_inputs(plan, journal%namelist, journal%initial_fingerprint, same, error)
     else if (.not. complete) then
-      task_id = task_ids_of(journal)
-      if (size(task_id) == 0) return
+      call find_task_ids(journal, task_id, error)
+      if (allocated(error) .or. size(task_id) == 0) return
       task_index = task_index_of(plan)
       if (any([(task_number_of(task_index, task_id(k)) == 0, k=1, size(task_id))])) call &
         fatal_error(error, journal_folder(plan) &

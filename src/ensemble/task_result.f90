@@ -136,8 +136,7 @@ contains
     logical :: is_record
 
     do
-      at = reader%at
-      call next_record(reader, record, is_record)
+      call next_record(reader, record, is_record, at)
       is_one = .false.
       if (.not. is_record) return
       call serialize_result(found, record%archive_type)

@@ -47,8 +47,8 @@ int battery_digest(const char *bytes, int64_t count, char digits[2 * digest_byte
 }
 
 /* Reads a file once: its length, its identity, its first `capacity` bytes or fewer, its last `behind`
-   bytes if it is longer, and the digest of those before. Returns 0, an error number, or -1: another
-   program has a lock on it that excludes readers, as HDF5 does while a file is open for writing. */
+   bytes if it is longer, and the digest of those before. Returns 0, an error number of the system, or -1:
+   another program has a lock on it that excludes readers, as HDF5 does while a file is open for writing. */
 int battery_digest_file(const char *path, int64_t behind, char *first, int64_t capacity, char *last,
                         char digits[2 * digest_bytes], int64_t *length, int64_t seen[5]) {
   char piece[1 << 16];
@@ -60,11 +60,12 @@ int battery_digest_file(const char *path, int64_t behind, char *first, int64_t c
     int64_t content = *length = seen[2], at = 0;
     if (content > behind) content -= behind;
     void *context = begin();
-    int good = context != NULL;
+    int good = context != NULL, failure = 0;
     while (good && at < *length) {
       int64_t stop = at < content ? content : *length, most = stop - at;
       ssize_t got = read(descriptor, piece, (size_t)(most < (int64_t)sizeof piece ? most : (int64_t)sizeof piece));
       if (got < 0 && errno == EINTR) continue;
+      if (got < 0) failure = errno;
       if (got <= 0) good = 0;
       else if (at >= content) memcpy(last + (at - content), piece, (size_t)got);
       else good = EVP_DigestUpdate(context, piece, (size_t)got) == 1;
@@ -73,6 +74,7 @@ int battery_digest_file(const char *path, int64_t behind, char *first, int64_t c
       at += got;
     }
     status = end(context, good, digits);
+    if (failure != 0) status = failure;
   }
   if (descriptor >= 0) close(descriptor);
   return status;

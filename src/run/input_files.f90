@@ -98,6 +98,8 @@ contains
       part = file//'.part, under which the results are written first'
     else if (same_file(file//'.owner', path)) then
       part = file//'.owner, which says who writes the results'
+    else if (same_file(file//'.damaged', path)) then
+      part = file//'.damaged, the name of a results file that is damaged'
     else if (same_file(file//'.tasks', path)) then
       part = file//'.tasks, the folder for what is unfinished'
     else if (same_file(file//'.tasks', real_folder_of(path)) .or. &

@@ -15,7 +15,7 @@ module battery_checksum_footer
   use battery_files, only: is_readable, write_parts, file_stamp_type
   use battery_foreign_bytes, only: is_results_file
   use battery_file_text, only: read_file
-  use battery_paths, only: is_folder
+  use battery_paths, only: is_folder, set_system_error
   implicit none (type, external)
   private
   public :: write_with_footer, check_footer, check_discardable, copy_with_footer
@@ -136,7 +136,8 @@ contains
       call fatal_error(error, name//' is open in another program, which may change it; ' &
         //'close it there', exit_bad_input)
     else if (status > 0) then
-      call fatal_error(error, name//' is damaged: it cannot be read to its end', exit_failure)
+      call set_system_error(status, name//' cannot be read to its end, and is kept', error)
+      error%code = exit_bad_input
     else if (footer == footer_text(content, digits)) then
       return
     else if (index(footer, first_line//new_line('a')) == 1 .or. index(footer, explanation) > 0) then

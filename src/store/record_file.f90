@@ -1,8 +1,8 @@
 !> Files of records that survive a crash of the program: results of finished tasks, saved states.
 !>
 !> A record is a header, the words of an archive (`battery_archive`) and a checksum over both.
-!> Records are appended and synced to disk one by one. On reading, the first record that is
-!> truncated or does not match its checksum ends the file: the records before it are valid.
+!> Records are appended and synced to disk one by one. On reading, a record that does not match its
+!> checksum is passed over; the first that is truncated, or whose header is damaged, ends the file.
 module battery_record_file
   use battery_kinds, only: int64
   use battery_archive, only: archive_type
@@ -27,12 +27,18 @@ module battery_record_file
   type :: record_reader_type
     !> Offset of the next record in bytes; may be set to that of any record.
     integer(int64) :: at = 0
+    !> The file is there, but the system cannot open or read it: what it has is not known.
+    type(error_type), allocatable :: error
+    character(len=:), allocatable, private :: name
     integer, private :: unit = 0
     logical, private :: is_open = .false.
   end type record_reader_type
 
   !> First word of every record.
   integer(int64), parameter :: mark = int(z'6261747465727932', int64)
+
+  !> Longest message of the system.
+  integer, parameter :: message_length = 200
 
   !> Words of a header (mark, owner, 0, generation, number of words), and bytes of a word. The third
   !> had a meaning once.
@@ -65,44 +71,69 @@ contains
     !> Path of the file.
     character(len=*), intent(in) :: name
     integer :: status
+    character(len=message_length) :: message
 
     if (reader%is_open .or. .not. is_file(name)) return
+    reader%name = name
     open (newunit=reader%unit, file=name, access='stream', form='unformatted', action='read', &
-      status='old', iostat=status)
+      status='old', iostat=status, iomsg=message)
     reader%is_open = status == 0
+    ! A run that ends may have removed it.
+    if (status /= 0 .and. is_file(name)) call set_error(reader, message)
   end subroutine open_records
 
-  !> Reads the record at `reader%at`, and moves `reader%at` to its end.
-  subroutine next_record(reader, record, found)
+  !> Reads the first valid record from `reader%at` on, and moves `reader%at` to its end.
+  subroutine next_record(reader, record, found, at)
     !> Reader, open, or of a missing file.
     type(record_reader_type), intent(inout) :: reader
     !> Record, to be read from its first component on.
     type(record_type), intent(out) :: record
-    !> Whether there is a valid record; if not, `reader%at` does not change.
+    !> Whether there is one; if not, `reader%at` does not change.
     logical, intent(out) :: found
+    !> Its offset in bytes.
+    integer(int64), intent(out) :: at
     integer(int64) :: head(head_size), bytes, left, sum, sum_stored
     integer :: status
+    character(len=message_length) :: message
 
     found = .false.
+    at = reader%at
     if (.not. reader%is_open) return
     inquire (reader%unit, size=bytes)
-    left = (bytes - reader%at)/word_bytes - head_size - 1
-    if (left < 0) return
-    read (reader%unit, pos=reader%at + 1, iostat=status) head
-    if (status /= 0 .or. head(1) /= mark) return
-    if (head(head_size) < 0 .or. head(head_size) > left) return
-    allocate (record%word(head(head_size)))
-    read (reader%unit, iostat=status) record%word, sum_stored
-    sum = fingerprint_start
-    call mix_words(sum, head)
-    call mix_words(sum, record%word)
-    found = status == 0 .and. sum_stored == sum
-    if (.not. found) return
-    reader%at = reader%at + word_bytes*(head_size + head(head_size) + 1)
+    do
+      left = (bytes - at)/word_bytes - head_size - 1
+      if (left < 0) return
+      read (reader%unit, pos=at + 1, iostat=status, iomsg=message) head
+      if (status == 0) then
+        if (head(1) /= mark .or. head(head_size) < 0 .or. head(head_size) > left) return
+        if (allocated(record%word)) deallocate (record%word)
+        allocate (record%word(head(head_size)))
+        read (reader%unit, iostat=status, iomsg=message) record%word, sum_stored
+      end if
+      if (status > 0) call set_error(reader, message)
+      if (status /= 0) return
+      sum = fingerprint_start
+      call mix_words(sum, head)
+      call mix_words(sum, record%word)
+      found = sum_stored == sum
+      if (found) exit
+      at = at + word_bytes*(head_size + head(head_size) + 1)
+    end do
+    reader%at = at + word_bytes*(head_size + head(head_size) + 1)
     record%owner = head(2)
     record%generation = head(4)
     call record%begin_reading()
   end subroutine next_record
+
+  !> Sets the error of a reader.
+  subroutine set_error(reader, message)
+    type(record_reader_type), intent(inout) :: reader
+    !> Message of the system.
+    character(len=*), intent(in) :: message
+
+    call fatal_error(reader%error, reader%name//': cannot be read, and is kept ('//trim(message) &
+      //')')
+  end subroutine set_error
 
   !> Closes a file of records; a reader that is not open is no error.
   subroutine close_records(reader)
@@ -137,15 +168,19 @@ contains
   end subroutine write_single_record
 
   !> Reads the first record of a file; `found` is false if it is missing or invalid.
-  subroutine read_single_record(name, record, found)
+  subroutine read_single_record(name, record, found, error)
     !> Path of the file.
     character(len=*), intent(in) :: name
     type(record_type), intent(out) :: record
     logical, intent(out) :: found
+    !> The file is there and cannot be read.
+    type(error_type), allocatable, intent(out) :: error
     type(record_reader_type) :: reader
+    integer(int64) :: at
 
     call open_records(reader, name)
-    call next_record(reader, record, found)
+    call next_record(reader, record, found, at)
+    call move_alloc(reader%error, error)
     call close_records(reader)
   end subroutine read_single_record
 
