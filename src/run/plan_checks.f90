@@ -81,7 +81,8 @@ contains
         'one whole number or two from 0 up, or threshold_fraction, or a list of either in &scan', &
         of_missing)
       if ((as_number .or. as_second) .and. as_fraction) call refuse_key(plan, &
-        'threshold_fraction', 'is given beside threshold', 'one of the two')
+        'threshold_fraction', 'is given beside '//trim(merge('threshold ', 'threshold2', &
+        as_number)), 'one of the two')
       if (plan%base%urn1_number /= not_given .and. (base(key_urn1_fraction)%known &
         .or. is_scanned(plan, 'urn1_fraction'))) call refuse_key(plan, 'urn1_number', &
         'is given beside urn1_fraction', 'one of the two')

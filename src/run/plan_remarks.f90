@@ -5,7 +5,7 @@ module battery_plan_remarks
   use battery_keys, only: key_radius
   use battery_kinds, only: wp
   use battery_findings, only: finding_type, finding_of, of_remark
-  use battery_plan, only: plan_type, point_type, point_of, points_text
+  use battery_plan, only: plan_type, point_type, point_of, points_text, is_scanned
   use battery_table, only: channel2
   use battery_text, only: string_type, to_text, join
   implicit none (type, external)
@@ -55,7 +55,8 @@ contains
     do at = 1, 2
       radii(at)%text = to_text(plan%base%of(key_radius)%real(at))
     end do
-    if (plan%shape /= 'urn' .and. radii(1)%text /= radii(2)%text) remarks = [remarks, &
+    if (plan%shape /= 'urn' .and. radii(1)%text /= radii(2)%text .and. .not. (is_scanned(plan, &
+      'urn_radius') .or. is_scanned(plan, 'urn_radius2'))) remarks = [remarks, &
       string_type('urn_radius = '//join(radii, ', ')//' are two radii: '//radii(1)%text &
       //' of urn 1, '//radii(2)%text//' of urn 2')]
     on_currents%text = current_remark(plan)
