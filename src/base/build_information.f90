@@ -17,13 +17,9 @@ contains
   !> built by `make`.
   pure function git_commit() result(text)
     character(len=:), allocatable :: text
-    integer :: at
 
-    text = ''
-    do at = 1, size(commit)
-      if (commit(at) == c_null_char) exit
-      text = text//commit(at)
-    end do
+    text = transfer(commit, repeat(' ', size(commit)))
+    text = text(:index(text//c_null_char, c_null_char) - 1)
   end function git_commit
 
 end module battery_build_information

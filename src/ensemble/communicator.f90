@@ -26,11 +26,10 @@ module battery_communicator
   use battery_clocks, only: sleep_for
   use battery_error, only: error_type, fatal_error
   use battery_signals, only: signals_watch
-  use battery_terminal, only: is_terminal, parent_is_terminal
   implicit none (type, external)
   private
   public :: communicator_type, open_communicator, close_communicator, share_error, share_text
-  public :: ranks_on_node, output_is_terminal
+  public :: ranks_on_node
   public :: share_words, wait_for_all, sleep_until_all, mean_over_ranks, mpi_library
   public :: task_queue_type, open_task_queue, close_task_queue, add_to_counter, read_counter
   public :: fetch_task, drive_mpi_progress, mpi_progress_interval
@@ -180,17 +179,6 @@ contains
     call MPI_Comm_size(node, ranks)
     call MPI_Comm_free(node)
   end function ranks_on_node
-
-  !> Whether standard output goes to a terminal. The output of a rank that was started by Open MPI's
-  !> mpirun is always a pseudo-terminal; then the output of mpirun itself is tested.
-  function output_is_terminal() result(terminal)
-    logical :: terminal
-    integer :: length
-
-    terminal = is_terminal()
-    call get_environment_variable('OMPI_COMM_WORLD_RANK', length=length)
-    if (length > 0 .and. terminal) terminal = parent_is_terminal()
-  end function output_is_terminal
 
   !> Mean of one value per rank. Collective.
   real(dp) function mean_over_ranks(communicator, value) result(mean)

@@ -10,10 +10,10 @@ module battery_ensemble
     close_task_queue, read_counter, share_error, share_text, mean_over_ranks, tasks_finished, &
     tasks_failed, collisions_done, sleep_until_all
   use battery_error, only: error_type, fatal_error, exit_success, exit_failure, exit_stopped_early
-  use battery_journal, only: check_lock, remove_journal
+  use battery_journal, only: remove_journal
   use battery_launcher, only: check_output_folder, launcher_hint
   use battery_merge, only: merge_results, sources_type, close_sources
-  use battery_lock_file, only: lock_type, acquire_lock, release_lock
+  use battery_lock_file, only: lock_type, acquire_lock, release_lock, check_lock
   use battery_plan, only: plan_type
   use battery_startup, only: find_pending_tasks, find_further_tasks
   use battery_results, only: results_type, all_tasks_complete
@@ -124,7 +124,7 @@ contains
     if (read_counter(task_queue, tasks_failed) > 0) exit_code = exit_failure
     if (.not. all_done) exit_code = exit_stopped_early
     if (task_queue%communicator%rank == 0) then
-      call check_lock(sources%journal_type, error)
+      call check_lock(sources%lock, error)
       if (.not. (stops .or. allocated(error))) call merge_results(plan, sources, start_date, &
         results, error)
       if (stops .and. .not. (quiet .or. allocated(error))) call print_stop(sources%ranks, &

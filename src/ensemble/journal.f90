@@ -18,7 +18,7 @@ module battery_journal
   use battery_clocks, only: wall_seconds
   use battery_files, only: make_folder, sync_file, remove_file, publish_file, file_exists, &
     files_matching, is_readable
-  use battery_lock_file, only: lock_type, is_lock_lost, lock_lost_text
+  use battery_lock_file, only: lock_type, check_lock
   use battery_record_file, only: record_type, append_record, write_single_record, &
     read_single_record
   use battery_task_result, only: task_result_type, to_record
@@ -28,7 +28,7 @@ module battery_journal
   implicit none (type, external)
   private
   public :: journal_type, find_journal, begin_journal, join_journal, rank_file, rank_files_of
-  public :: states_in, find_task_ids, check_lock, remove_journal
+  public :: states_in, find_task_ids, remove_journal
   public :: write_finished, sync_finished, write_state, read_state
 
   !> The journal as one rank accesses it.
@@ -216,7 +216,7 @@ contains
     logical :: has_state
     integer :: k
 
-    call check_lock(journal, error)
+    call check_lock(journal%lock, error)
     if (allocated(error)) return
     call append_record(rank_file(journal, journal%mine), to_record(found), journal%written, error)
     if (allocated(error)) return
@@ -246,16 +246,6 @@ contains
     journal%next_sync = ended + max(interval, (ended - began)/share)
   end subroutine sync_finished
 
-  !> An error if this run has lost the lock of its output: then a rank must write nothing.
-  subroutine check_lock(journal, error)
-    type(journal_type), intent(in) :: journal
-    !> Another run has taken over the lock.
-    type(error_type), allocatable, intent(out) :: error
-
-    if (is_lock_lost(journal%lock)) call fatal_error(error, &
-      lock_lost_text(journal%lock))
-  end subroutine check_lock
-
   !> Saves the state of a simulation over the older of its two generations.
   subroutine write_state(journal, task, simulation, cpu_seconds, error)
     type(journal_type), intent(inout) :: journal
@@ -268,7 +258,7 @@ contains
     real(dp) :: seconds
     character(len=:), allocatable :: name
 
-    call check_lock(journal, error)
+    call check_lock(journal%lock, error)
     if (allocated(error)) return
     seconds = cpu_seconds
     ! The length is measured first: there is only one copy of a large state.

@@ -12,8 +12,8 @@ module battery_merge
   use battery_error, only: error_type, fatal_error, exit_bad_input
   use battery_files, only: file_stamp_type, has_stamp, may_open
   use battery_fingerprint, only: fingerprint_text
-  use battery_hdf5_file, only: hdf5_file_type, make_group, write_attribute, write_text_attribute, &
-    no_handle
+  use battery_hdf5_file, only: hdf5_file_type, open_file, make_group, write_attribute, &
+    write_text_attribute, no_handle
   use battery_identity, only: task_id_with
   use battery_journal, only: journal_type, rank_file, rank_files_of
   use battery_plan, only: plan_type, point_of
@@ -23,7 +23,7 @@ module battery_merge
   use battery_record_file, only: record_reader_type, open_records, close_records
   use battery_results, only: results_type, new_results, task_complete, task_failed, &
     task_not_asked, point_undecided, all_tasks_complete
-  use battery_results_file, only: results_file_type, create_results, write_results, &
+  use battery_results_file, only: results_file_type, write_results, &
     publish_results, read_results, close_results, prepare_outputs, serialize_slabs, ended_early, &
     series, events
   use battery_task_result, only: task_result_type, next_result
@@ -109,7 +109,7 @@ contains
         results%counted(r, p, :) = unknown_count
       end associate
     end do
-    call create_results(name, file, error)
+    call open_file(file, name//'.part', .true., error)
     file%plan = plan
     file%stamp = before
     call write_description(file, plan, max(1, sources%ranks), start_date, results, error)

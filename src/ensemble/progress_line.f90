@@ -6,9 +6,9 @@ module battery_progress_line
   use battery_kinds, only: dp
   use battery_clocks, only: wall_seconds
   use battery_columns, only: duration_text, rate_text
-  use battery_communicator, only: task_queue_type, read_counter, output_is_terminal, &
+  use battery_communicator, only: task_queue_type, read_counter, &
     tasks_finished, collisions_done
-  use battery_terminal, only: print_line, print_text
+  use battery_terminal, only: print_line, print_text, is_terminal
   implicit none (type, external)
   private
   public :: progress_line_type, new_progress_line, show_progress, clear_progress_line
@@ -41,7 +41,7 @@ contains
     type(progress_line_type) :: progress_line
 
     progress_line%speaks = speaks
-    progress_line%terminal = output_is_terminal()
+    progress_line%terminal = is_terminal()
     progress_line%tasks = tasks
     progress_line%began = wall_seconds()
     progress_line%interval = merge(terminal_interval, log_interval, progress_line%terminal)

@@ -13,7 +13,8 @@ module battery_self_test
   use battery_journal, only: remove_journal
   use battery_kinds, only: wp, int64
   use battery_namelist_input, only: parse_namelist
-  use battery_plan, only: plan_type, setup_of
+  use battery_initial_state, only: parse_particles
+  use battery_plan, only: plan_type, setup_of, table_of, point_of
   use battery_process, only: process_number
   use battery_results, only: results_type, all_tasks_complete
   use battery_results_file, only: results_file_type, open_results, read_results, close_results, &
@@ -143,7 +144,7 @@ contains
     !> Some tests failed; the same error on all ranks.
     type(error_type), allocatable, intent(out) :: error
     type(plan_type) :: plan
-    character(len=:), allocatable :: name
+    character(len=:), allocatable :: name, particles
     integer :: tests, failed, k
 
     tests = 0
@@ -157,7 +158,13 @@ contains
       error)
     if (allocated(error)) return
     ! As if read from an initial file; any fingerprint except 0 will do.
-    plan%file_particles = particles_of(columns_of(start_lines))
+    particles = ''
+    do k = 1, size(start_lines)
+      particles = particles//start_lines(k)//new_line('a')
+    end do
+    call parse_particles(particles, 'battery --self-test', table_of(plan, point_of(plan, 1)), &
+      size(start_lines), plan%file_particles, error)
+    if (allocated(error)) return
     plan%base%urn1_number = count(plan%file_particles%x < 0.0_wp)
     plan%initial_fingerprint = 1_int64
     do k = 1, size(engines)
@@ -245,20 +252,6 @@ contains
       end if
     end associate
   end subroutine repeat_run
-
-  !> Particles from columns of (x, y, ux, uy); the speed becomes 1.
-  pure function particles_of(columns) result(particles)
-    real(wp), intent(in) :: columns(:, :)
-    type(particles_type) :: particles
-    real(wp), allocatable :: speed(:)
-
-    speed = hypot(columns(3, :), columns(4, :))
-    ! Separate assignments: gfortran 12 loses the stride of a row in a structure constructor.
-    particles%x = columns(1, :)
-    particles%y = columns(2, :)
-    particles%ux = columns(3, :)/speed
-    particles%uy = columns(4, :)/speed
-  end function particles_of
 
   !> Four numbers of each line, (number, line).
   pure function columns_of(lines) result(columns)

@@ -142,7 +142,7 @@ contains
     integer, parameter :: last_tasks = 8, classes = 2048
     real(dp) :: cost(size(tasks)), place(size(tasks)), longest
     integer(c_size_t) :: order(size(tasks)), count
-    integer :: k, bits
+    integer :: k, bits, bit
 
     count = size(tasks)
     bits = bit_size(bits) - leadz(plan%point_count)
@@ -151,7 +151,9 @@ contains
     do k = 1, size(tasks)
       associate (point => (tasks(k) - 1)/plan%replicas, replica => mod(tasks(k) - 1, &
         plan%replicas), class => min(classes - 1, floor(log(longest/cost(k))/log(2.0_dp))))
-        place(k) = (real(replica, dp)*classes + class)*2.0_dp**bits + reversed_bits(point, bits)
+        ! The bits of the point in the opposite order.
+        place(k) = (real(replica, dp)*classes + class)*2.0_dp**bits + sum([(merge(2**(bits - 1 &
+          - bit), 0, btest(point, bit)), bit=0, bits - 1)])
       end associate
     end do
     if (count > 0) call sort_order(order, place, 1_c_size_t, count)
@@ -163,17 +165,6 @@ contains
       last = last(order(:count) + 1)
     end associate
   end subroutine order_tasks
-
-  !> A number of so many bits, in the opposite order.
-  pure integer function reversed_bits(number, bits) result(reversed)
-    integer, intent(in) :: number, bits
-    integer :: k
-
-    reversed = 0
-    do k = 0, bits - 1
-      if (btest(number, k)) reversed = ibset(reversed, bits - 1 - k)
-    end do
-  end function reversed_bits
 
   !> Makes the initial positions and velocities of the particles of a task.
   subroutine initial_particles(task, start, particles, error)

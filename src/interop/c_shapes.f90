@@ -7,7 +7,7 @@ module battery_c_shapes
   use, intrinsic :: iso_c_binding, only: c_char, c_int, c_ptr, c_size_t
   implicit none (type, external)
   private
-  public :: action, action_on_address
+  public :: action
   public :: returns_number, number_of_path, number_of_paths
   public :: number_of_text, number_of_path_and_text, size_of_address
   public :: returns_address, address_of_number
@@ -17,13 +17,6 @@ module battery_c_shapes
     subroutine action() bind(c)
       implicit none (type, external)
     end subroutine action
-
-    !> An address, no result.
-    subroutine action_on_address(address) bind(c)
-      import :: c_ptr
-      implicit none (type, external)
-      type(c_ptr), value, intent(in) :: address
-    end subroutine action_on_address
 
     !> No argument; returns an integer.
     integer(c_int) function returns_number() bind(c)

@@ -7,47 +7,31 @@
 #include <gsl/gsl_rng.h>
 #include <gsl/gsl_version.h>
 #include <stdint.h>
-#include <stdlib.h>
 
 /* Version of the library at run time. */
 const char *battery_gsl_version(void) { return gsl_version; }
 
 /* Two generators of different kind: one shifts bits, the other multiplies modulo primes. */
-typedef struct {
-  gsl_rng *twister, *recursive;
-} generator;
+static gsl_rng *twister, *recursive;
 
-void battery_generator_free(generator *both)
-{
-  if (!both) return;
-  if (both->twister) gsl_rng_free(both->twister);
-  if (both->recursive) gsl_rng_free(both->recursive);
-  free(both);
-}
-
-/* Makes a generator; null if there is no memory. GSL's own error handler, which aborts, is switched
-   off. */
-generator *battery_generator_new(uint64_t seed)
+/* Seeds both generators, which are made once. Returns 0 if there is no memory for them. GSL's own error
+   handler, which aborts, is switched off. */
+int battery_seed(uint64_t seed)
 {
   gsl_set_error_handler_off();
-  generator *both = calloc(1, sizeof *both);
-  if (!both) return NULL;
-  both->twister = gsl_rng_alloc(gsl_rng_mt19937);
-  both->recursive = gsl_rng_alloc(gsl_rng_cmrg);
-  if (!both->twister || !both->recursive) {
-    battery_generator_free(both);
-    return NULL;
-  }
-  gsl_rng_set(both->twister, (unsigned long)(seed & UINT32_MAX));
-  gsl_rng_set(both->recursive, (unsigned long)(seed >> 32));
-  return both;
+  if (!twister) twister = gsl_rng_alloc(gsl_rng_mt19937);
+  if (!recursive) recursive = gsl_rng_alloc(gsl_rng_cmrg);
+  if (!twister || !recursive) return 0;
+  gsl_rng_set(twister, (unsigned long)(seed & UINT32_MAX));
+  gsl_rng_set(recursive, (unsigned long)(seed >> 32));
+  return 1;
 }
 
 /* Sum, modulo one, of 53 bits of one generator and the number of the other. */
-double battery_generator_uniform(generator *both)
+double battery_uniform(void)
 {
-  uint64_t high = gsl_rng_get(both->twister) >> 5, low = gsl_rng_get(both->twister) >> 6;
-  double one = (double)(high << 26 | low) * 0x1p-53, other = gsl_rng_uniform(both->recursive);
+  uint64_t high = gsl_rng_get(twister) >> 5, low = gsl_rng_get(twister) >> 6;
+  double one = (double)(high << 26 | low) * 0x1p-53, other = gsl_rng_uniform(recursive);
   double number = one < 1.0 - other ? one + other : one - (1.0 - other);
   /* The sum may have been rounded up. */
   return number < 1.0 ? number : 0.0;

@@ -27,7 +27,7 @@ module battery_lock_file
   implicit none (type, external)
   private
   public :: lock_type, acquire_lock, release_lock, is_lock_lost
-  public :: lock_lost_text, is_lock_visible
+  public :: check_lock, is_lock_visible
 
   !> Outcomes of an attempt to lock, as in `lock_file.c`.
   integer(c_int), parameter :: taken = 0, held = 1, unknown = 2, again = 3, not_a_file = 5
@@ -181,13 +181,15 @@ contains
     text = now(:length)
   end function text_now
 
-  !> Message of a run that has lost its lock.
-  pure function lock_lost_text(lock) result(text)
+  !> An error if this run has lost the lock of its output: then a rank must write nothing.
+  subroutine check_lock(lock, error)
     type(lock_type), intent(in) :: lock
-    character(len=:), allocatable :: text
+    !> Another run has taken over the lock.
+    type(error_type), allocatable, intent(out) :: error
 
-    text = lock%path//': another run has taken over; this one, '//lock%text//', ends'
-  end function lock_lost_text
+    if (is_lock_lost(lock)) call fatal_error(error, lock%path &
+      //': another run has taken over; this one, '//lock%text//', ends')
+  end subroutine check_lock
 
   !> Text of a lock file: machine, process, time.
   function owner_text() result(text)

@@ -2,6 +2,7 @@
 #include <errno.h>
 #include <fcntl.h>
 #include <stdio.h>
+#include <stdlib.h>
 #include <unistd.h>
 
 /* Opens closed standard streams such that writing to them fails: otherwise the next file that is opened
@@ -18,10 +19,8 @@ void terminal_guard(void)
     }
 }
 
-int terminal_output(void) { return isatty(STDOUT_FILENO); }
-
 /* Whether the parent's standard output is a terminal, as far as this can be determined. */
-int terminal_parent_output(void)
+static int parent_output(void)
 {
   char path[64];
   snprintf(path, sizeof path, "/proc/%ld/fd/1", (long)getppid());
@@ -30,4 +29,12 @@ int terminal_parent_output(void)
   int yes = isatty(stream);
   close(stream);
   return yes;
+}
+
+/* Whether standard output goes to a terminal. The output of a rank that Open MPI's mpirun has started is
+   always a pseudo-terminal; then the output of mpirun itself is tested. */
+int terminal_output(void)
+{
+  const char *rank = getenv("OMPI_COMM_WORLD_RANK");
+  return isatty(STDOUT_FILENO) && (rank == NULL || *rank == '\0' || parent_output());
 }

@@ -6,8 +6,7 @@ module battery_terminal
   use battery_text, only: printable
   implicit none (type, external)
   private
-  public :: guard_streams, print_line, print_text, print_error, all_was_printed, is_terminal, &
-    parent_is_terminal
+  public :: guard_streams, print_line, print_text, print_error, all_was_printed, is_terminal
 
   !> Descriptors of standard output and standard error.
   integer(c_int), parameter :: output = 1, errors = 2
@@ -19,7 +18,7 @@ module battery_terminal
   !> file that gets their descriptor; to be called before any file is opened.
   procedure(action), bind(c, name='terminal_guard') :: guard_streams
 
-  procedure(returns_number), bind(c) :: terminal_output, terminal_parent_output
+  procedure(returns_number), bind(c) :: terminal_output
 
   interface
     !> Writes without a buffer, so that failed writes are known; returns 0 or an error number.
@@ -68,17 +67,10 @@ contains
     all_was_printed = printed
   end function all_was_printed
 
-  !> Whether standard output is a terminal.
+  !> Whether standard output goes to a terminal, also through `mpirun`.
   logical function is_terminal()
 
-    is_terminal = terminal_output() == 1
+    is_terminal = terminal_output() /= 0
   end function is_terminal
-
-  !> Whether the standard output of the parent process is a terminal; true if this cannot be
-  !> determined.
-  logical function parent_is_terminal()
-
-    parent_is_terminal = terminal_parent_output() == 1
-  end function parent_is_terminal
 
 end module battery_terminal

@@ -11,7 +11,7 @@ module battery_initial_state
     try_random_point
   use battery_engine, only: particles_type
   use battery_signals, only: stop_requested, set_stop_error
-  use battery_gsl, only: generator_type, new_generator, free_generator, uniform
+  use battery_gsl, only: seed_generator, uniform
   implicit none (type, external)
   private
   public :: random_particles, parse_particles, are_inside
@@ -51,31 +51,27 @@ contains
     type(particles_type), intent(out) :: particles
     !> No memory, no random generator, or a stop request.
     type(error_type), allocatable, intent(out) :: error
-    type(generator_type) :: generator
     real(wp) :: angle
     integer :: at
 
     call allocate_particle_arrays(particles, number, error)
     if (allocated(error)) return
-    call new_generator(generator, seed, error)
+    call seed_generator(seed, error)
     if (allocated(error)) return
     do at = 1, number
       if (mod(at, particles_between_stop_checks) == 0) then
         if (stop_requested()) exit
       end if
-      call place_in_urn(generator, table, merge(1, 2, at <= urn1_number), particles%x(at), &
-        particles%y(at))
-      angle = 2.0_wp*pi*real(uniform(generator), wp)
+      call place_in_urn(table, merge(1, 2, at <= urn1_number), particles%x(at), particles%y(at))
+      angle = 2.0_wp*pi*real(uniform(), wp)
       particles%ux(at) = cos(angle)
       particles%uy(at) = sin(angle)
     end do
-    call free_generator(generator)
     if (stop_requested()) call set_stop_error(error)
   end subroutine random_particles
 
   !> Draws a point uniform in an urn.
-  subroutine place_in_urn(generator, table, urn, x, y)
-    type(generator_type), intent(in) :: generator
+  subroutine place_in_urn(table, urn, x, y)
     type(table_type), intent(in) :: table
     integer, intent(in) :: urn
     real(wp), intent(out) :: x, y
@@ -83,8 +79,8 @@ contains
     logical :: inside
 
     do
-      across = real(uniform(generator), wp)
-      up = real(uniform(generator), wp)
+      across = real(uniform(), wp)
+      up = real(uniform(), wp)
       call try_random_point(table%urn(urn), across, up, x, y, inside)
       if (inside) exit
     end do

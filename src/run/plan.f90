@@ -139,12 +139,8 @@ contains
     type(plan_type), intent(in) :: plan
     !> Name of the key.
     character(len=*), intent(in) :: key
-    integer :: at
 
-    yes = .false.
-    do at = 1, size(plan%scanned)
-      yes = yes .or. plan%scanned(at)%key == key
-    end do
+    yes = size(values_of(plan, key)) > 0
   end function is_scanned
 
   !> Values of a key that is scanned; none if it is not.

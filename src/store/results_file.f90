@@ -1,8 +1,8 @@
 !> The results file: contents of `battery_results` by name, with units and named dimensions, and the
 !> output of tasks over time: series, snapshots, final states, events.
 !>
-!> A new file is made in memory (`create_results`), where it is compressed; its attributes, its
-!> numbers (`write_results`), and the output of each task are written there. `publish_results`
+!> A new file, `name.part`, is made in memory (`open_file`), where it is compressed; its attributes,
+!> its numbers (`write_results`), and the output of each task are written there. `publish_results`
 !> writes it to the disk under a temporary name, reads it back to verify the checksum, and renames
 !> it, so that there is always either the old file or the new one. An old file is opened
 !> (`open_results`) and its numbers are read (`read_results`), then the outputs of its tasks one by
@@ -43,7 +43,7 @@ module battery_results_file
   use battery_text, only: lines_of
   implicit none (type, external)
   private
-  public :: results_file_type, create_results, write_results, publish_results
+  public :: results_file_type, write_results, publish_results
   public :: open_results, read_results, close_results, accept_results
   public :: task_output_type, serialize_output, prepare_outputs, serialize_slabs, ended_early
   public :: series, snapshots, final, events
@@ -115,20 +115,9 @@ module battery_results_file
 
 contains
 
-  !> Makes a file in memory; `publish_results` must follow.
-  subroutine create_results(name, file, error)
-    !> Path of the results file.
-    character(len=*), intent(in) :: name
-    !> New file; not open if it cannot be made.
-    type(results_file_type), intent(out) :: file
-    type(error_type), allocatable, intent(out) :: error
-
-    call open_file(file, temporary_name(name), .true., error)
-  end subroutine create_results
-
   !> Writes all contents except attributes of the root and task output. Does nothing after an error.
   subroutine write_results(file, results, error)
-    !> File from `create_results`, with its plan.
+    !> New file, with its plan.
     type(results_file_type), intent(in) :: file
     !> Results, which are only read.
     type(results_type), intent(inout) :: results
@@ -146,7 +135,7 @@ contains
   subroutine publish_results(name, file, error)
     !> Path of the results file.
     character(len=*), intent(in) :: name
-    !> File from `create_results`, with the stamp of the file that may be replaced; closed here.
+    !> New file `name.part`, with the stamp of the file that may be replaced; closed here.
     type(results_file_type), intent(inout) :: file
     !> After an earlier error, while the file was filled, it is not published.
     type(error_type), allocatable, intent(inout) :: error
@@ -160,12 +149,12 @@ contains
       end do
     end do
     call close_file(file, error)
-    if (.not. allocated(error)) call check_footer(temporary_name(name), error)
-    if (.not. allocated(error)) call sync_file(temporary_name(name), error)
+    if (.not. allocated(error)) call check_footer(file%name, error)
+    if (.not. allocated(error)) call sync_file(file%name, error)
     if (allocated(error)) then
-      call remove_file(temporary_name(name), other)
+      call remove_file(file%name, other)
     else
-      call publish_unless_replaced(temporary_name(name), name, file%stamp, error)
+      call publish_unless_replaced(file%name, name, file%stamp, error)
     end if
   end subroutine publish_results
 
@@ -195,17 +184,10 @@ contains
       end do
     end associate
     call close_results(file)
-    if (.not. allocated(error)) call copy_with_footer(name, temporary_name(name), error)
+    file%name = name//'.part'
+    if (.not. allocated(error)) call copy_with_footer(name, file%name, error)
     call publish_results(name, file, error)
   end subroutine accept_results
-
-  !> Temporary name under which a results file is written.
-  pure function temporary_name(name)
-    character(len=*), intent(in) :: name
-    character(len=:), allocatable :: temporary_name
-
-    temporary_name = name//'.part'
-  end function temporary_name
 
   !> Writes the grid of the scan: its keys in the attribute `scan` of the root, the slowest first,
   !> and the values of each key in the group `scan`.
