@@ -178,13 +178,13 @@ class Circuit:
                 f"thresholds = {reprlib.repr(given)}; allowed: whole numbers from 0 up"
             )
         asked = np.asarray(given, int)
-        if not own.alike or asked.size == 0:
-            return asked.astype(float), np.full(asked.shape, math.nan)
-        line = known.transition_line(own, int(asked.min()), max(int(asked.max()), 1))
         # A gate of T = 0 lets nothing pass, and from T = N on none reverses.
-        within = np.clip(asked, line[0][0], line[0][-1])
-        widths = line[1][np.searchsorted(line[0], within)]
-        widths = np.where(asked == within, widths, np.where(asked == 0, 0.0, math.nan))
+        widths = np.where(asked == 0, 0.0, math.nan)
+        within = (asked > 0) & (asked < self.number)
+        if own.alike and within.any():
+            low, high = int(asked[within].min()), int(asked[within].max())
+            line = known.transition_line(own, low, high)
+            widths[within] = line[1][np.searchsorted(line[0], asked[within])]
         return asked.astype(float), widths
 
     def lifetimes(self, theory: str = PAPERS) -> Lifetimes:
