@@ -54,6 +54,7 @@ void signals_watch(void)
 /* Place in the list of the first signal received, from 1; 0: none. */
 int signals_received(void)
 {
+  if (!received) return 0;
   for (int at = 0; at < request_count; at++)
     if (received == requests[at]) return at + 1;
   return 0;
