@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy import integrate
 
-from postproc.theory import two_port
+from postproc.theory.circulation import circulating_at
 from postproc.theory.direction import DIFFUSION
 from postproc.theory.models import MODELS
 
@@ -83,7 +83,7 @@ def missing(circuit: Circuit, chi: float, transients: Floats, measured: Floats) 
 def _lacking(circuit: Circuit, chi: float) -> Floats:
     """Return the integral of the missing current from the first of `AGES` to each of them."""
     number2 = 0.5 * float(circuit.number) * (1.0 + chi)
-    around = two_port.circulating_at(circuit, number2, np.append(AGES, math.inf))
+    around = circulating_at(circuit, number2, np.append(AGES, math.inf))
     return integrate.cumulative_trapezoid(around[-1] - around[:-1], AGES, initial=0.0)
 
 

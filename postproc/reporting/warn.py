@@ -17,7 +17,7 @@ from scipy import stats
 from postproc.cli import InputError
 from postproc.reading.groups import each_series, snapshot_of
 from postproc.reading.points import current_name, means
-from postproc.theory import ports, two_port
+from postproc.theory import ports
 from postproc.theory.circuit import flow2
 
 if TYPE_CHECKING:
@@ -85,8 +85,8 @@ def memory_factor(circuit: Circuit) -> float:
     """
     if float(circuit.channel2_width) == 0.0:
         return 1.0
-    mixed = two_port.conductance(circuit, ports.well_mixed)
-    return max(two_port.conductance(circuit) / mixed, 1.0) + CIRCULATION
+    mixed = ports.well_mixed(circuit).conductance
+    return max(ports.disc(circuit).conductance / mixed, 1.0) + CIRCULATION
 
 
 def warnings(points: xr.Dataset) -> list[str]:

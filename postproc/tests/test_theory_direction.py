@@ -13,7 +13,7 @@ from scipy import integrate
 
 from postproc.cli import InputError
 from postproc.tests.commands import call
-from postproc.theory import direction, fate, ports, two_port
+from postproc.theory import direction, fate, ports
 from postproc.theory.chain import passage_times
 from postproc.theory.circuit import Circuit
 from postproc.theory.models import MODELS
@@ -191,19 +191,15 @@ def test_directions_diffuse_slower_through_narrower_openings(width: float, expec
     assert direction.diffusion(1.4, 1.4 * width) / width**2 == pytest.approx(expected, rel=2e-3)
 
 
-def test_where_fates_ask_for_no_direction_two_ports_come_out() -> None:
+def test_where_fates_ask_for_no_direction_the_cosine_law_comes_out() -> None:
     # nearly free gates: everyone passes
     circuit = Circuit(200, 60, 0.3, 0.05, gate=RENEWAL, occupation=True)
     held = direction.Directions(circuit).held(0.3)
-    first = np.linspace(40.0, 80.0, 200)
-    at = two_port.balance(circuit, first)
-    share = at.in_urn[0] / at.in_urn.sum(axis=0)
     assert held.in_half.sum() == pytest.approx(200.0, rel=1e-4)
     # with the gates open directions stay as they come in: by the cosine law
     law = held.entries @ direction.polynomials(fate.directions()[0])
     assert law / held.entries[:, :1] == pytest.approx(1.0, abs=0.2)
     assert held.entries[0, 0] < held.entries[1, 0]
-    assert share.min() < 0.3 < share.max()
 
 
 def test_sparse_urn_sends_less_than_well_mixed() -> None:
@@ -278,14 +274,10 @@ def test_state_does_not_depend_on_where_it_is_looked_for_from() -> None:
     ids=str,
 )  # fmt: skip
 def test_nearly_all_particles_in_one_urn_are_found(circuit: Circuit) -> None:
-    """Where the homogeneous state is unstable another one is not, next to that of two ports."""
-    model = MODELS["direction"]
-    stable = model.solve_stable(circuit)
+    """Where the homogeneous state is unstable another one is not."""
+    stable = MODELS["direction"].solve_stable(circuit)
     assert stable
-    ports_have = two_port.stationary_states(model.of(circuit))[-1].mass_spread
-    assert stable[-1].mass_spread == pytest.approx(ports_have, abs=0.2)
-    if ports_have > 0.99:
-        assert stable[-1].mass_spread == pytest.approx(ports_have, abs=1e-3)
+    assert stable[-1].mass_spread > 0.9
 
 
 def test_thresholds_above_the_number_of_particles_have_one_state() -> None:

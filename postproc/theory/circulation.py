@@ -1,6 +1,6 @@
 """Circulating particles, which cross urns without a wall hit, and the current they carry.
 
-In `two_port` the memory of an urn is only the opening of entry. Along the axis it is more: a
+In `ports` the memory of an urn is only the opening of entry. Along the axis it is more: a
 particle that leaves one opening nearly along the axis crosses the urn without a wall hit, passes
 channel 1 or is reversed there as by a flat mirror, crosses an urn again, and so on until it hits a
 wall. This depends only on walls and gates, so such particles are followed one by one.
@@ -23,8 +23,8 @@ between two openings are not filled again from the dense urn in each round.
 
 Of the T + 1 particles that a gate reverses, the j-th to enter has been inside for j entries.
 
-The flow that crosses an urn straight is compared with that of `two_port` on the same lines, e (1 -
-q) + e' q' and f. The difference crosses with certainty, while in `two_port` it crosses with the
+The flow that crosses an urn straight is compared with that of `ports` on the same lines, e (1 - q)
++ e' q' and f. The difference crosses with certainty, while by `ports` it crosses with the
 probability P12, or returns with the probability a: this is a source between the openings, with the
 effect `response` on the current. Beyond `ROUNDS` the rest falls as 1/m, less the particles that the
 gate of the sparse urn reverses.
@@ -38,13 +38,13 @@ groups of particles (`circulating`).
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from dataclasses import astuple, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy import special
+from scipy import optimize, special
 
-from postproc.theory import fate
+from postproc.theory import fate, ports
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -68,6 +68,7 @@ NEAR = (3e-4, 0.3)  # of w' per round: distances to such shifts at which slopes 
 ROUNDS = 512  # for which they are followed
 LATE = 64  # rounds from which the 1/m law is used
 GONE = 30.0  # exponent above which the rest is 0
+FEWEST = 1e-9  # smallest share of the particles from which the search for flows begins
 
 
 def _folded(place: Floats, width: float) -> Floats:
@@ -196,7 +197,7 @@ class Straight:
             urn = 1 - urn
 
     def passages(self, start: int) -> tuple[Floats, Floats]:
-        """Return the flows that cross urns straight in excess of `two_port`, by round.
+        """Return the flows that cross urns straight in excess of those by `ports`, by round.
 
         For particles that begin in urn `start`, per unit time: from channel 1 to channel 2, and
         from channel 2 to channel 1; shape (urn, round).
@@ -311,7 +312,7 @@ def circulating(
 ) -> tuple[Floats, Floats]:  # fmt: skip
     """Return the current of channel 2 from urn 2 to urn 1 by straight passages, at each age.
 
-    Without the part that `two_port` includes already; and its standard error, from the scatter of
+    Without the part that `ports` includes already; and its standard error, from the scatter of
     groups of the particles that are drawn. Zero unless channel 2 is the narrower one: the effect of
     a source is derived for urns that an opening does not empty.
 
@@ -326,3 +327,38 @@ def circulating(
         return np.zeros(np.shape(age)), np.zeros(np.shape(age))
     own = np.asarray(entries, float), np.asarray(across, float)
     return carried(followed(circuit, *own, seed=seed), circuit, urns, age)
+
+
+def circulating_at(circuit: Circuit, number2: float, ages: ArrayLike) -> Floats:
+    """Return the circulating current of a circuit held at N2 = `number2`, at each age of a run.
+
+    Age 0 is the current of one round, which is present at once; infinity the stationary one. The
+    urns are discs that remember the opening of entry; their inflows b by channel 1 are those that
+    give both halves their numbers, or the nearest if channel 2 alone brings more to one:
+
+        f_i = P12 b_i + a f_j          e_i = (1 - P12) b_i + (1 - a) f_j.
+    """
+    urns = [ports.disc(side) for side in circuit.sides]
+    back, across, stay1, stay2 = np.array([astuple(one) for one in urns]).T
+    wanted = np.array([float(circuit.number) - number2, number2])
+    thresholds = np.array([float(side.threshold) for side in circuit.sides])
+    time1, time2 = (0.25 * math.pi * float(one)
+                    for one in (circuit.channel1_length, circuit.channel2_length))  # fmt: skip
+
+    def outflows(arriving1: Floats) -> tuple[Floats, Floats]:
+        leaving2 = across * arriving1
+        leaving2 = (leaving2 + back * leaving2[::-1]) / (1.0 - back.prod())
+        return (1.0 - across) * arriving1 + (1.0 - back) * leaving2[::-1], leaving2
+
+    def excess(log_arriving1: Floats) -> Floats:
+        arriving1 = np.exp(log_arriving1)
+        entries, leaving2 = outflows(arriving1)
+        share = circuit.gate.share(thresholds, time1 * entries)
+        beyond = share * time1 * entries + time2 * leaving2
+        turning = (1.0 - share) * np.minimum(thresholds, time1 * entries)
+        in_urn = stay1 * arriving1 + stay2 * leaving2[::-1]
+        return in_urn + turning + beyond + beyond[::-1] - wanted
+
+    start = np.log(np.maximum(wanted, FEWEST * wanted.sum()) / stay1)
+    found = optimize.least_squares(excess, start).x
+    return circulating(circuit, urns, *outflows(np.exp(found)), ages)[0]

@@ -464,7 +464,7 @@ def flows(circuit: Circuit, number2: float) -> Floats:
 
 
 def outflows(circuit: Circuit) -> tuple[Floats, Floats]:
-    """Return N2 and the logarithms of the flows between the halves, as `two_port.outflows`."""
+    """Return N2 and the logarithms of the flows between the halves, as `Theory.outflows`."""
     held = [one for _, one in scan(circuit)]
     second = np.array([one.in_half[1] for one in held])
     sent = np.log(np.maximum(np.array([one.sent for one in held]).T, 1e-300))

@@ -7,6 +7,10 @@ through 2), and the four probabilities follow from one: P22 = a, P21 = 1 - a, P1
 P11 = 1 - P12. The mean stays t1, t2 after entries through 1 and 2 obey w t1 + w' t2 = pi A, since
 the urn is filled uniformly.
 
+If two equal urns with the outflows e_i into channel 1 and f_i into channel 2 are stationary, the
+current of either channel is J = f_2 - f_1, and P12 (e_2 - e_1) = (1 + a - 2 P12) J. So J is G times
+the difference of the numbers in them, G = c/(t1 + c (2 t1 - t2)) with c = P12/(1 + a - 2 P12).
+
 A well mixed urn has a = w'/(w + w') and t1 = t2. A disc has not, however small the openings: a
 particle comes back along a nearly closed polygon that misses opening 1, and such polygons have few
 sides (`returns`; where the openings are opposite an odd number).
@@ -48,6 +52,12 @@ class Ports:
     across: float
     stay1: float
     stay2: float
+
+    @property
+    def conductance(self) -> float:
+        """G of equal urns: the net current over the difference of the numbers in the urns."""
+        c = self.across / (1.0 + self.return_chance - 2.0 * self.across)
+        return c / (self.stay1 + c * (2.0 * self.stay1 - self.stay2))
 
 
 def well_mixed(circuit: Circuit) -> Ports:

@@ -16,10 +16,10 @@ import numpy as np
 
 import postproc
 from postproc.figures import style
-from postproc.theory import circulation, direction, fate, ports, two_port
+from postproc.theory import circulation, direction, fate, ports
 from postproc.theory.circuit import Circuit
 from postproc.theory.models import MODELS
-from studies.common import study
+from studies.common import study, two_port
 from studies.common.circulations import (
     TRANSIENT,
     circulations,

@@ -14,10 +14,10 @@ import numpy as np
 from scipy import optimize
 
 from postproc import circuits
-from postproc.theory import two_port
 from postproc.theory.circuit import PAPERS_AGE, transition_width
 from postproc.theory.models import MODELS, describe
 from postproc.theory.states import Theory
+from studies.common import two_port
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -23,7 +23,7 @@ from scipy import optimize
 import postproc
 from postproc.advice.transients import circulation_rate, memory_time
 from postproc.theory import circuit as theory
-from postproc.theory import ports, two_port
+from postproc.theory import ports
 from postproc.theory.direction import diffusion
 from postproc.theory.renewal import RENEWAL
 from studies.common import circulations, study
@@ -180,7 +180,7 @@ def sizes(work: study.Study) -> list[Row]:
             inside, apart = of_halves(circuit, float(point.chi.mean()))
             scale = predictions.mixed_conductance(circuit)
             share = (inside[1] - inside[0]) / apart
-            predicted = share * two_port.conductance(circuit) / scale
+            predicted = share * ports.disc(circuit).conductance / scale
             name = f"r = {radius:g}, N = {many}, T = {threshold}"
             rows.append(
                 Row(3, f"conductance over w'/(pi A), {name}", share, predicted,

@@ -11,7 +11,7 @@ import pytest
 
 from postproc.advice.transients import circulation_rate
 from postproc.tests.looks import assert_looks_apart
-from postproc.theory import ports, two_port
+from postproc.theory import ports
 from postproc.theory.circuit import Circuit, in_urn
 from postproc.theory.renewal import RENEWAL
 from studies.common import event_log
@@ -114,7 +114,7 @@ def test_predictions_on_the_page_are_those_of_the_present_theory() -> None:
     sizes = [one for one in rows if one["what"].startswith("conductance")]
     for row, threshold in zip(sizes[:3], (7, 10, 13), strict=True):
         circuit = Circuit(1000, threshold, gate=RENEWAL)
-        ratio = two_port.conductance(circuit) / predictions.mixed_conductance(circuit)
+        ratio = ports.disc(circuit).conductance / predictions.mixed_conductance(circuit)
         assert row["predicted"] == pytest.approx(ratio * row["mixed"], rel=1e-6)
 
 

@@ -1,4 +1,4 @@
-"""Two ports and circulation: drawn visits, identities, limits, the conductance measured."""
+"""Ports and circulation: drawn visits, identities, limits."""
 
 from __future__ import annotations
 
@@ -10,18 +10,14 @@ import numpy as np
 import pytest
 
 from postproc.tests.commands import call
-from postproc.theory import circulation, ports, states, two_port
+from postproc.theory import circulation, direction, ports
 from postproc.theory.circuit import Circuit
-from postproc.theory.gates import WINDOW
 from postproc.theory.models import MODELS, describe
 from postproc.theory.renewal import RENEWAL
 from postproc.theory.returns import limit, return_chance
 from postproc.theory.visits import first_multiple, visits
 
 PAPER = Circuit(1000, 7, gate=RENEWAL, occupation=True)
-# w', I/(G0 chi N) over both maps of Fig. numris (chi > 0.5, T >= 6), about +- 0.01
-CONDUCTANCES = ((0.004, 1.043), (0.010, 1.080), (0.020, 1.127), (0.032, 1.164),
-                (0.046, 1.181), (0.062, 1.188), (0.073, 1.189))  # fmt: skip
 # w and w', then a, t1 and t2 of 4e6 drawn visits and their errors: the study of accuracy
 Pair = tuple[float, float]
 DRAWN = (
@@ -166,99 +162,9 @@ def test_first_multiple_is_the_first() -> None:
         assert one[3] == within[0]
 
 
-@pytest.mark.parametrize("gate", [WINDOW, RENEWAL])
-@pytest.mark.parametrize("occupation", [False, True])
-@pytest.mark.parametrize("threshold", [2, 7, 15, 18])
-@pytest.mark.parametrize("unlike", [{}, {"gate2_threshold": 9, "urn2_radius": 1.3}])
-def test_well_mixed_urns_have_the_theories_before(
-    gate: object, occupation: bool, threshold: int, unlike: dict[str, float]
-) -> None:
-    circuit = Circuit(
-        900, threshold, 0.4, 0.02, 1.2, 0.8, 1.3, gate=gate, occupation=occupation, **unlike
-    )
-    expected = states.stationary_states(circuit)
-    found = two_port.stationary_states(circuit, ports.well_mixed)
-    assert [one.kind for one in found] == [one.kind for one in expected]
-    for one, other in zip(found, expected, strict=True):
-        assert one.urn2_number == pytest.approx(other.urn2_number, rel=1e-8)
-        assert one.net_current == pytest.approx(other.net_current, rel=1e-7)
-    kind = two_port.homogeneous_kind(circuit, ports.well_mixed)
-    before = states.kind_next_to_equal if unlike else states.WELL_MIXED.homogeneous_kind
-    assert kind == before(circuit)
-
-
-def test_flows_of_urns_held_apart_are_balanced() -> None:
-    circuit = replace(
-        PAPER, urn2_radius=1.3, gate2_threshold=9, channel1_length=0.7, channel2_length=2.0
-    )
-    at = two_port.balance(circuit, np.array([30.0, 400.0, 900.0]))
-    sign = np.array([[1.0], [-1.0]])
-    arriving, back = at.across[::-1], at.entries - sign * at.net_current
-    for urn, side in enumerate(circuit.sides):
-        port = ports.disc(side)
-        out1 = (1.0 - port.across) * back[urn] + (1.0 - port.return_chance) * arriving[urn]
-        out2 = port.across * back[urn] + port.return_chance * arriving[urn]
-        assert at.entries[urn] == pytest.approx(out1, rel=1e-12)
-        assert at.across[urn] == pytest.approx(out2, rel=1e-9)
-        inside = port.stay1 * back[urn] + port.stay2 * arriving[urn]
-        assert at.in_urn[urn] == pytest.approx(inside, rel=1e-12)
-    assert at.in_half.sum(axis=0) == pytest.approx(1000.0, rel=1e-12)
-
-
-def test_in_a_state_the_gates_send_what_channel_2_returns() -> None:
-    for circuit in (PAPER, replace(PAPER, threshold=15, urn_radius=2.0, number=4000)):
-        (first, _), *_ = two_port._roots(circuit, ports.disc)
-        at = two_port.balance(circuit, first)
-        net = float(at.through[0, 0] - at.through[1, 0])
-        assert net == pytest.approx(float(at.net_current[0]), rel=1e-8)
-        apart = float(at.in_urn[1, 0] - at.in_urn[0, 0])
-        assert net == pytest.approx(two_port.conductance(circuit) * apart, rel=1e-8)
-
-
 def test_well_mixed_conductance_is_the_papers() -> None:
-    found = two_port.conductance(PAPER, ports.well_mixed)
+    found = ports.well_mixed(PAPER).conductance
     assert found == pytest.approx(0.01 / (math.pi * float(PAPER.urn_area)), rel=1e-12)
-
-
-def test_exchange_of_unlike_urns_mirrors_the_states() -> None:
-    one = replace(PAPER, urn2_radius=1.2, gate2_threshold=9)
-    other = replace(PAPER, urn_radius=1.2, urn2_radius=1.0, threshold=9, gate2_threshold=7)
-    found, mirrored = two_port.stationary_states(one), two_port.stationary_states(other)[::-1]
-    assert len(found) == len(mirrored) > 1
-    for state, image in zip(found, mirrored, strict=True):
-        assert state.kind == image.kind
-        assert state.urn2_number == pytest.approx(1000.0 - image.urn2_number, rel=1e-6)
-        assert state.net_current == pytest.approx(-image.net_current, rel=1e-5)
-
-
-def test_equal_urns_given_twice_are_those_given_once() -> None:
-    twice = replace(PAPER, urn2_radius=1.0, gate2_threshold=7)
-    assert twice.alike
-    assert two_port.stationary_states(twice) == two_port.stationary_states(PAPER)
-
-
-def test_battery_at_seven() -> None:
-    # measured: 0.92909, current 0.9751 +- 0.0016 without circulation, 1.0191 +- 0.0028 with it
-    (state,) = two_port.stationary_states(PAPER)
-    assert state.mass_spread == pytest.approx(0.92909, abs=0.0015)
-    assert state.net_current - state.circulating_current == pytest.approx(0.9751, abs=0.003)
-    assert state.net_current == pytest.approx(1.0191, rel=0.01)
-
-
-@pytest.mark.parametrize(("width", "measured"), CONDUCTANCES)
-def test_two_ports_and_circulation_have_the_conductance_that_is_measured(
-    width: float, measured: float
-) -> None:
-    found = []
-    for threshold in range(6, 18, 4 if width < 0.05 else 2):
-        circuit = replace(PAPER, threshold=threshold, channel2_width=width)
-        ohm = width * 1000.0 / (math.pi * float(circuit.urn_area))
-        found += [
-            state.net_current / (ohm * state.mass_spread)
-            for state in two_port.stationary_states(circuit)[-1:]
-            if state.kind == "stable" and state.mass_spread > 0.5
-        ]
-    assert np.mean(found) == pytest.approx(measured, rel=0.03)
 
 
 def walked(circuit: Circuit, rounds: int, count: int) -> np.ndarray:
@@ -309,7 +215,7 @@ def test_straight_passages_are_those_of_flown_particles(circuit: Circuit) -> Non
 
 @pytest.mark.parametrize("share", [0.0, 0.6, 1.0])
 def test_nothing_circulates_where_all_is_filled_evenly(share: float) -> None:
-    """Straight passages are then those that two ports have, whatever share both gates let pass."""
+    """Straight passages are then those that ports have, whatever share both gates let pass."""
     circuit = replace(PAPER, channel1_length=0.5, channel2_width=0.2, channel2_length=0.7)
     sent = np.full(2, 2.0 * 0.3), np.full(2, 2.0 * 0.2)
     straight = circulation.Straight(circuit, *sent, np.full(2, share))
@@ -320,10 +226,10 @@ def test_nothing_circulates_where_all_is_filled_evenly(share: float) -> None:
 
 def test_shifts_that_are_listed_change_only_the_error(monkeypatch: pytest.MonkeyPatch) -> None:
     long, found = replace(PAPER, channel1_length=20.0, channel2_width=0.1), []
-    at, urns = two_port.balance(long, 900.0), [ports.disc(long)] * 2
+    held, urns = direction.Directions(long).held(0.1), [ports.disc(long)] * 2
     for most in (300, 3):
         monkeypatch.setattr(circulation, "MOST_TURNS", most)
-        flows = at.entries[:, 0], at.across[:, 0]
+        flows = held.entries[:, 0], held.across[:, 0]
         found.append([float(one) for one in circulation.circulating(long, urns, *flows)])
     currents, errors = np.array(found).T
     assert currents[0] != currents[1]
@@ -331,17 +237,21 @@ def test_shifts_that_are_listed_change_only_the_error(monkeypatch: pytest.Monkey
 
 
 def test_nothing_goes_round_between_equal_urns() -> None:
-    at = two_port.balance(replace(PAPER, threshold=18), 500.0)
-    urns = [ports.disc(PAPER)] * 2
-    around, _ = circulation.circulating(PAPER, urns, at.entries[:, 0], at.across[:, 0])
+    around = circulation.circulating_at(replace(PAPER, threshold=18), 500.0, np.inf)
     assert around == pytest.approx(0.0, abs=1e-12)
+
+
+def test_what_circulates_where_no_such_number_is_possible_is_that_of_the_nearest() -> None:
+    """The sparse half has 35 at least, those in the channels and those that channel 2 brings."""
+    found = [float(circulation.circulating_at(PAPER, one, np.inf)) for one in (965.0, 983.0, 999.5)]
+    assert found == pytest.approx(3 * [0.039], rel=0.05)
 
 
 def test_error_of_what_circulates_is_the_scatter_of_other_particles() -> None:
     """Of six sets; the scatter is known to a third, the mean error to a tenth."""
-    root, urns, found = two_port.stationary_states(PAPER)[-1], [ports.disc(PAPER)] * 2, []
-    at = two_port.with_number2(PAPER, root.urn2_number)
-    straight = circulation.followed(PAPER, at.entries[:, 0], at.across[:, 0])
+    root, urns, found = direction.stationary_states(PAPER)[-1], [ports.disc(PAPER)] * 2, []
+    held, _ = direction._held_states(PAPER)[-1]
+    straight = circulation.followed(PAPER, held.entries[:, 0], held.across[:, 0])
     for seed in range(1, 7):
         straight.seed = seed
         found.append([float(one) for one in circulation.carried(straight, PAPER, urns, PAPER.age)])
@@ -399,12 +309,3 @@ def test_gates_that_let_nobody_or_everybody_pass_have_no_battery() -> None:
     for threshold in (0, 1000):
         printed = describe(Circuit(1000, threshold), MODELS["direction"])
         assert (printed["homogeneous"], printed["roots"]) == ("stable", [])
-
-
-def test_next_to_equal_widths_unlike_gates_have_one_stable_state() -> None:
-    # 1 + a - 2 P12 changes its sign there, and with it what urns send apart
-    for width in (0.28, 0.3, 0.31):
-        circuit = replace(PAPER, threshold=4, gate2_threshold=40, channel2_width=width)
-        kinds = [kind for _, kind in two_port._roots(circuit, ports.disc)]
-        assert kinds == ["stable"], width
-        assert two_port.growth(replace(PAPER, channel2_width=width)) < 0.0

@@ -7,10 +7,9 @@ its gate at load e_i pi l/4, j the other urn, and the ports of `ports`:
     e_i = (1 - P12) b_i + (1 - a) f_j   f_i = P12 b_i + a f_j              n_i = t1 b_i + t2 f_j
 
 If the urns are stationary channel 2 carries J = f_2 - f_1 and channel 1 as much, b_1 = e_1 - J
-and b_2 = e_2 + J; all are linear in b_1, b_2. For equal urns P12 (e_2 - e_1) = (1 + a - 2 P12) J
-and J = G (n_2 - n_1) with G = c/(t1 + c (2 t1 - t2)), c = P12/(1 + a - 2 P12), P12 = (w'/w)(1 - a).
+and b_2 = e_2 + J; all are linear in b_1, b_2. For equal urns J = G (n_2 - n_1), G that of `ports`.
 So every ratio b_1/b_2 is a stationary pair of urns, and a state of the circuit if the gates carry J
-as well. Well mixed urns give the flows of eqs. (eqapp5) and (eq007), and G = w'/(pi A).
+as well. Well mixed urns give the flows of eqs. (eqapp5) and (eq007).
 """
 
 from __future__ import annotations
@@ -231,18 +230,3 @@ def with_number2(circuit: Circuit, number2: float) -> Balance:
     if excess(most) >= 0.0:  # fewer are not possible: channel 2 brings more
         return balance(circuit, most)
     return balance(circuit, optimize.brentq(excess, fewest, most, rtol=1e-12))
-
-
-def circulating_at(circuit: Circuit, number2: float, ages: ArrayLike) -> Floats:
-    """Return the circulating current at N2 = `number2`, at each age of a run.
-
-    Age 0 is the current of one round, which is present at once; infinity the stationary one.
-    """
-    return _around(circuit, with_number2(circuit, number2), ages)[0]
-
-
-def conductance(circuit: Circuit, memory: Memory = ports.disc) -> float:
-    """Return G of equal urns: the net current is G times the difference of the urns' numbers."""
-    one = memory(circuit)
-    c = one.across / (1.0 + one.return_chance - 2.0 * one.across)
-    return c / (one.stay1 + c * (2.0 * one.stay1 - one.stay2))
