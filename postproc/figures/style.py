@@ -30,20 +30,10 @@ BLACK = "#000000"
 ORANGE = "#E69F00"
 SKY = "#56B4E9"
 GREEN = "#009E73"
-YELLOW = "#F0E442"
 BLUE = "#0072B2"
 VERMILION = "#D55E00"
 PURPLE = "#CC79A7"
 GREY = "#8C8C8C"
-# darker ones, for figures with more than eight kinds of marks
-BROWN = "#7A4A1E"
-OLIVE = "#808000"
-VIOLET = "#6A3D9A"
-NAVY = "#1B2A6B"
-COLOURS = {
-    "vermilion": VERMILION, "orange": ORANGE, "brown": BROWN, "olive": OLIVE, "purple": PURPLE,
-    "violet": VIOLET, "navy": NAVY,
-}  # fmt: skip
 CYCLE = (BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY)
 
 COLUMN = 3.4  # width of one column of the journal, inches
@@ -85,11 +75,6 @@ def settings() -> AbstractContextManager[None]:
     return mpl.style.context(["default", SETTINGS])
 
 
-def colour(name: str) -> str:
-    """Return a colour of the models by its name."""
-    return COLOURS[name]
-
-
 def figure(width: float = PAGE, height: float = 3.2) -> Figure:
     """Return an empty figure of that size in inches."""
     made = Figure(figsize=(width, height), layout="constrained")
@@ -102,13 +87,6 @@ def on_map(colour: str = BLACK, width: float = 1.2) -> dict[str, object]:
     solid = {"dash_offset": 0.0, "dash_list": None}
     border = [Stroke(linewidth=width + 1.8, foreground="white", dashes=solid), Normal()]
     return {"color": colour, "lw": width, "path_effects": border}
-
-
-def bound(axes: Axes, x: float, y: float, mark: str, colour: str, size: float = 5.0) -> None:
-    """Draw an upper bound: an open mark with an arrow downwards."""
-    axes.plot([x], [y], mark, color=colour, mfc="none", ms=size)
-    axes.annotate("", (x, y), (0, -15), textcoords="offset points",
-                  arrowprops={"arrowstyle": "<-", "color": colour})  # fmt: skip
 
 
 def ticks_at(axes: Axes, values: Iterable[float]) -> None:

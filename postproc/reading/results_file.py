@@ -158,12 +158,6 @@ class ResultsFile:
             here = f"bytes of memory, there are {left:.3g}"
             raise InputError(f"{self.path}: needs {needed:.3g} {here}")
 
-    @property
-    def shape(self) -> tuple[int, int]:
-        """Number of points, and of replicas of each."""
-        points, replicas = self._dataset("current1").shape
-        return points, replicas
-
     def axes(self) -> dict[str, tuple[NDArray[np.generic], dict[str, object]]] | None:
         """Return the values of each key that was scanned, the slowest first, and their attributes.
 

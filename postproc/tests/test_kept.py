@@ -125,7 +125,7 @@ def test_whoever_asks_a_theory_that_takes_seconds_asks_once(
         raise AssertionError("asked again")
 
     direction.scan.cache_clear()
-    direction._held_states.cache_clear()
+    direction.held_states.cache_clear()
     monkeypatch.setattr(direction, "Directions", again)
     assert describe(circuit, model) == told
     assert [vars(one) for one in model.states(circuit)] == told["roots"]

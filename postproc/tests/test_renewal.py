@@ -8,9 +8,10 @@ import math
 import numpy as np
 import pytest
 
+from postproc.theory import fate
 from postproc.theory.circuit import Circuit, eta, homogeneous_kind
-from postproc.theory.renewal import RENEWAL, exponential_logit, share_of_one
-from postproc.theory.states import stable_state, stationary_states
+from postproc.theory.renewal import RENEWAL, exponential_logit
+from postproc.theory.states import stationary_states
 
 ACCURACY = 2e-5
 
@@ -34,7 +35,9 @@ def simulated_share(load: float, threshold: int, gates: int, entries: int) -> tu
 
 def test_one_at_a_time_is_known_exactly() -> None:
     loads = np.linspace(0.01, 10.0, 300)
-    assert RENEWAL.share(1, loads) == pytest.approx(share_of_one(loads), abs=ACCURACY)
+    stays, shares = fate.cosine_law(2.0 / math.pi, 200)  # 1 on average
+    exact = [shares @ fate.passing(1, load, stays, shares) for load in loads]
+    assert RENEWAL.share(1, loads) == pytest.approx(exact, abs=ACCURACY)
 
 
 def test_two_at_a_time_from_the_first_passage_equations() -> None:
@@ -138,8 +141,8 @@ def test_slope_is_the_derivative() -> None:
 
 def test_it_moves_the_diagram() -> None:
     near = Circuit(1000, 15, gate=RENEWAL)
-    assert stable_state(near).mass_spread == pytest.approx(0.623, abs=0.005)
-    assert stable_state(Circuit(1000, 15)).mass_spread == pytest.approx(0.862, abs=0.001)
+    assert stationary_states(near)[-1].mass_spread == pytest.approx(0.623, abs=0.005)
+    assert stationary_states(Circuit(1000, 15))[-1].mass_spread == pytest.approx(0.862, abs=0.001)
     four = Circuit(1000, 4, gate=RENEWAL)
     assert homogeneous_kind(four) == "unstable"
     assert homogeneous_kind(Circuit(1000, 4)) == "stable"

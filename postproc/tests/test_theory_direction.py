@@ -17,7 +17,7 @@ from postproc.theory import direction, fate, ports
 from postproc.theory.chain import passage_times
 from postproc.theory.circuit import Circuit
 from postproc.theory.models import MODELS
-from postproc.theory.renewal import RENEWAL, share_of_one
+from postproc.theory.renewal import RENEWAL
 
 LOW, HIGH = 0.2, 0.7  # chi of the passages, as `figures.passages` has them
 # T = 1, 32 runs of 40000 time units a point (namelists/lifetimes_one.nml), and where few of them
@@ -68,7 +68,7 @@ def test_fate_at_one_is_known_exactly() -> None:
     stays, shares = fate.cosine_law(0.5, 200)
     load = 1.3
     found = fate.passing(1, load / (0.25 * math.pi), stays, shares)
-    assert shares @ found == pytest.approx(float(share_of_one(np.array([load]))[0]), rel=1e-3)
+    assert shares @ found == pytest.approx(RENEWAL.share(1, load), rel=1e-3)
     ratio = found[:50] / found[0]
     assert ratio == pytest.approx(np.exp(-load / (0.25 * math.pi) * (stays[:50] - stays[0])))
 
@@ -184,11 +184,6 @@ def test_diffusion_of_directions_is_derived() -> None:
     assert norm == pytest.approx(math.pi**2 / 12.0, rel=1e-9)
     assert 0.5 * square / norm == pytest.approx(direction.DIFFUSION, rel=1e-9)
     assert pytest.approx(1.0 / 12.0, rel=0.2) != direction.DIFFUSION
-
-
-@pytest.mark.parametrize(("width", "expected"), [(0.3, 0.06642), (0.1, 0.06546), (1e-3, 0.06535)])
-def test_directions_diffuse_slower_through_narrower_openings(width: float, expected: float) -> None:
-    assert direction.diffusion(1.4, 1.4 * width) / width**2 == pytest.approx(expected, rel=2e-3)
 
 
 def test_where_fates_ask_for_no_direction_the_cosine_law_comes_out() -> None:

@@ -12,9 +12,10 @@ from numpy.polynomial import Chebyshev
 from scipy import optimize
 
 from postproc.tests.commands import call
+from postproc.theory import fate
 from postproc.theory.circuit import Circuit, transition_width
 from postproc.theory.gates import WINDOW
-from postproc.theory.renewal import RENEWAL, share_of_one
+from postproc.theory.renewal import RENEWAL
 from postproc.theory.states import stationary_states
 from postproc.theory.tricritical import order, tricritical
 
@@ -30,9 +31,14 @@ def test_papers_gate_has_its_tricritical_load_in_closed_form(threshold: int) -> 
 
 
 def test_exact_gate_of_one_has_the_same_tricritical_load() -> None:
+    stays, shares = fate.cosine_law(2.0 / math.pi, 200)  # 1 on average
+
+    def through(loads: np.ndarray) -> np.ndarray:
+        return np.array([one * (shares @ fate.passing(1, one, stays, shares)) for one in loads])
+
     def third(load: float) -> float:
         ends = [0.9 * load, 1.1 * load]
-        return Chebyshev.interpolate(lambda x: x * share_of_one(x), 14, ends).deriv(3)(load)
+        return Chebyshev.interpolate(through, 14, ends).deriv(3)(load)
 
     expected = optimize.brentq(third, 2.5, 5.0)
     assert tricritical(Circuit(1, 1, gate=RENEWAL)).load_per_threshold == pytest.approx(

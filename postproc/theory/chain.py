@@ -14,7 +14,7 @@ import numpy as np
 from scipy import interpolate
 
 from postproc.cli import InputError
-from postproc.theory.circuit import flow1, flow2, log_outflow
+from postproc.theory.circuit import log_outflow
 from postproc.theory.states import WELL_MIXED
 
 if TYPE_CHECKING:
@@ -155,27 +155,14 @@ def passage_times(
     circuit: Circuit,
     low: float,
     high: float,
-    sparse: tuple[float, float] = (1.0, 1.0),
     theory: Theory = WELL_MIXED,
 ) -> tuple[float, float]:
     """Return the chain's mean times from chi = 0 until chi >= high, and from 1 until chi <= low.
 
-    Unlike `lifetimes` they are defined whether or not the theory has both states. `sparse` are
-    factors of the outflows of the sparser urn through channels 1 and 2, if it is well mixed.
+    Unlike `lifetimes` they are defined whether or not the theory has both states.
     """
     number = int(circuit.number)
     passage = passages(circuit, theory)
-    if sparse != (1.0, 1.0):
-        up, down = folded(*log_rates(circuit, theory))
-        fewer = number // 2 - np.arange(up.size)  # number in the sparser urn of each state
-        apart = (fewer > 0) & (2 * fewer < number)
-        through1, through2 = (
-            flow1(circuit, fewer[apart]),
-            flow2(circuit, fewer[apart]),
-        )
-        factor = (sparse[0] * through1 + sparse[1] * through2) / (through1 + through2)
-        up[apart] += np.log(factor)
-        passage = _of_chain(up, down)
     offset, last = (number + 1) // 2, number // 2
     above = int(np.clip(np.ceil(0.5 * number * (1.0 + high) - 1e-9) - offset, 1, last))
     below = int(np.clip(np.floor(0.5 * number * (1.0 + low) + 1e-9) - offset, 0, last - 1))

@@ -173,11 +173,6 @@ class Circuit:
             return outlines.widest(self.outline)
         return 2.0 * float(np.asarray(self.urn_radius))
 
-    def need_discs(self, what: str) -> None:
-        """Raise `InputError` unless the urns are discs, as `what` requires."""
-        if self.outline is not None:
-            raise InputError(f"{what} knows urns that are discs only, these are polygons")
-
     @property
     def load_per_particle(self) -> Floats:
         """Load of a gate per particle in its urn: lambda/n = w l/(4A), eq. (eqapp3)."""

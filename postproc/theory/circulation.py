@@ -196,17 +196,12 @@ class Straight:
                 return
             urn = 1 - urn
 
-    def passages(self, start: int) -> tuple[Floats, Floats]:
+    def by_group(self, start: int) -> tuple[Floats, Floats]:
         """Return the flows that cross urns straight in excess of those by `ports`, by round.
 
         For particles that begin in urn `start`, per unit time: from channel 1 to channel 2, and
-        from channel 2 to channel 1; shape (urn, round).
+        from channel 2 to channel 1; by group of particles, shape (group, urn, round).
         """
-        down, up = self.by_group(start)
-        return down.sum(axis=0), up.sum(axis=0)
-
-    def by_group(self, start: int) -> tuple[Floats, Floats]:
-        """Return `passages` by group of particles, shape (group, urn, round)."""
         draw = np.random.default_rng(self.seed)
         place, slope, volume, weights = self.begun(start, draw)
         weight, other = weights.sum(axis=0), 1 - start

@@ -156,13 +156,6 @@ def _narrow_transfer(radius: float, width1: float, width2: float) -> Transfer:
     return Transfer(kernel, np.outer([port.stay1, port.stay2], chord / chord[0]))
 
 
-def diffusion(radius: float, width: float) -> float:
-    """Return D of directions per visit, by the second eigenvalue exp(-6 D) of K11 without w'."""
-    kernel = transfer(radius, width, NARROWEST * radius).kernel[0, 0]
-    first, second = np.sort(np.linalg.eigvals(kernel).real)[:-3:-1]
-    return math.log(first / second) / 6.0
-
-
 @dataclass(frozen=True)
 class Held:
     """A circuit held stationary with given numbers in the urns; arrays by urn.
@@ -384,7 +377,7 @@ def homogeneous_kind(circuit: Circuit) -> str:
 
 
 @lru_cache(maxsize=8)
-def _held_states(circuit: Circuit) -> tuple[tuple[Held, str], ...]:
+def held_states(circuit: Circuit) -> tuple[tuple[Held, str], ...]:
     """Return the circuit held in each of its states, and the kind of the state.
 
     As `scan`, it is asked for states and kinds.
@@ -413,12 +406,6 @@ def _held_states(circuit: Circuit) -> tuple[tuple[Held, str], ...]:
     return tuple(found)
 
 
-def most_polarised(circuit: Circuit) -> Held | None:
-    """Return the circuit held in its most polarised stable state, None without one."""
-    stable = [held for held, kind in _held_states(circuit) if kind == "stable"]
-    return max(stable, key=lambda one: abs(one.in_half[1] - one.in_half[0]), default=None)
-
-
 def around(
     circuit: Circuit, held: Held, age: ArrayLike = math.inf, *, seed: int = FIRST
 ) -> tuple[Floats, Floats]:
@@ -435,11 +422,11 @@ def stationary_states(circuit: Circuit) -> list[State]:
     found.
     """
     number, found = float(circuit.number), []
-    kinds = [kind for _, kind in _held_states(circuit)]
+    kinds = [kind for _, kind in held_states(circuit)]
     if not circuit.alike and {"stable"} != {*kinds[:1], *kinds[-1:]}:
         raise InputError(f"theory direction: it does not find all states, {circuit.brief}")
     closed = float(circuit.channel2_width) == 0.0  # nothing flows there, what represents it leaks
-    for held, kind in _held_states(circuit):
+    for held, kind in held_states(circuit):
         second = float(held.in_half[1])
         chi = abs(2.0 * second - number) / number
         state = State(second, kind, chi, 0.0 if closed else held.net_current)

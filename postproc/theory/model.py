@@ -66,8 +66,6 @@ class Model:
     use : when to use it, in a line.
     seconds : processor time of a state at N = 1000, at least.
     dashes : style of its lines.
-    mark, colour : of its point in charts of error against cost; the colour's name in
-        `figures.style`.
     adds_to : name of the theory whose physics it contains; "": none.
     changes : fields of a circuit that it changes, by name.
     theory : its functions for circuits with equal urns and gates.
@@ -85,8 +83,6 @@ class Model:
     use: str
     seconds: float
     dashes: str | tuple[int, tuple[int, ...]]
-    mark: str
-    colour: str
     adds_to: str = ""
     changes: Mapping[str, object] = field(default_factory=dict)
     theory: Theory = WELL_MIXED

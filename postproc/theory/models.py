@@ -41,17 +41,17 @@ _DIRECTIONS = Theory(
 DECLARED = (
     Model(
         "window", "window (the paper's)", "the paper's gate, a window of fixed time",
-        "where a circuit may polarise; the paper's results", 1e-3, "--", "P",
-        "vermilion", changes={"gate": WINDOW}, unlike=_MIXED_UNLIKE, mixed=True,
+        "where a circuit may polarise; the paper's results", 1e-3, "--",
+        changes={"gate": WINDOW}, unlike=_MIXED_UNLIKE, mixed=True,
     ),
     Model(
         "renewal", "renewal gate", "the gate's exact rule",
-        "the upper transition in milliseconds; the single urn", 3e-3, "-.", "X", "orange",
+        "the upper transition in milliseconds; the single urn", 3e-3, "-.",
         "window", {"gate": RENEWAL}, unlike=_MIXED_UNLIKE, mixed=True,
     ),
     Model(
         "direction", "directions", "exact gates, memory of the opening and direction of entry",
-        "chi, currents and transitions alike; lifetimes", 1.0, "-", "X", "violet", "renewal",
+        "chi, currents and transitions alike; lifetimes", 1.0, "-", "renewal",
         {"gate": RENEWAL, "occupation": True}, _DIRECTIONS, _DIRECTIONS, extras=_of_ports,
         aged=True, widest=1.0,
     ),

@@ -19,11 +19,6 @@ if TYPE_CHECKING:
 
 Outline = tuple[tuple[float, float], ...]
 
-# Slopes of its sides are fractions other than 0, 1 and -1, so all angles are irrational parts of pi
-CROOKED: Outline = (
-    (0.9, -0.55), (0.9, 0.48), (0.13, 1.07), (-0.85, 0.44), (-0.85, -0.52), (-0.21, -0.97),
-)  # fmt: skip
-
 
 def outline_of(corners: Iterable[Iterable[float]]) -> Outline:
     """Return corners as an outline that runs counterclockwise."""

@@ -72,10 +72,7 @@ def disc(circuit: Circuit) -> Ports:
 
     Both are computed for the narrower opening; the identities above give the other's. With a closed
     channel 2 there is no memory.
-
-    Raises `InputError` if the urns are not discs.
     """
-    circuit.need_discs("what an urn remembers")
     widths = float(circuit.channel1_width), float(circuit.channel2_width)
     if widths[1] == 0.0:
         return well_mixed(circuit)

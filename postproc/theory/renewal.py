@@ -100,18 +100,6 @@ def _range_of_one(threshold: float) -> tuple[Floats, Floats]:
     return np.log(lower), np.log(upper)
 
 
-def share_of_one(load: Floats) -> Floats:
-    """Return the exact share for T = 1, with p the probability of no entry during a stay.
-
-    From an entry into an empty gate e C - 1 = 1 + p (e C - 1), so the share is p/(2 - p).
-    """
-    nodes, weights = np.polynomial.legendre.leggauss(200)
-    angle = 0.25 * np.pi * (nodes + 1.0)
-    stay = np.exp(-np.multiply.outer(load / (0.5 * np.pi), 1.0 / np.cos(angle)))
-    alone = stay @ (0.25 * np.pi * weights * np.cos(angle))
-    return alone / (2.0 - alone)
-
-
 @cache
 def _fluid_logits() -> tuple[Floats, Floats]:
     """Return coordinates along the transition and the fluid's logit there, for interpolation.

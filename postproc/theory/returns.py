@@ -26,7 +26,11 @@ alpha); for openings of one width terms fall as 1/n^3.
 
 For narrow openings n is large where it matters, h is then even in (-1, 1), the sum over k becomes
 (2/pi) phi(n), phi Euler's, and that over odd n an integral with the density 4/pi^2 of phi(n)/n. In
-this limit a is a function of rho, the ratio of the widths, alone (`limit`).
+this limit a is a function of rho <= 1, the ratio of the widths, alone: with Li2 the dilogarithm
+
+    a = 4/(pi^2 rho) [(1 + rho) Li2(2 rho/(1 + rho)) + Li2(-rho) - Li2(rho)],
+
+4 rho/pi^2 for small rho and 1/3 at 1.
 """
 
 from __future__ import annotations
@@ -37,7 +41,6 @@ from itertools import pairwise, repeat
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy import special
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -52,26 +55,6 @@ TOGETHER = 8192  # polygons at a time, few enough for the fast memory of a proce
 ODD_PRIMITIVE = 4.0 / math.pi**2  # mean of phi(n)/n over odd n, times their density 1/2
 GAUSS = np.polynomial.legendre.leggauss(4)
 EVEN_H = np.polynomial.legendre.leggauss(32)
-
-
-def limit(ratio: float) -> float:
-    """Return the probability for narrow openings, a function of own over other width only.
-
-    With rho <= 1 that ratio and Li2 the dilogarithm
-
-        a = 4/(pi^2 rho) [(1 + rho) Li2(2 rho/(1 + rho)) + Li2(-rho) - Li2(rho)],
-
-    4/pi^2 rho for small rho and 1/3 at 1; beyond 1 by w P12 = w' P21.
-    """
-    if ratio > 1.0:
-        return 1.0 - (1.0 - limit(1.0 / ratio)) / ratio
-    sum_ = (1.0 + ratio) * _dilogarithm(2.0 * ratio / (1.0 + ratio))
-    sum_ += _dilogarithm(-ratio) - _dilogarithm(ratio)
-    return ODD_PRIMITIVE / ratio * sum_
-
-
-def _dilogarithm(x: float) -> float:
-    return float(special.spence(1.0 - x))
 
 
 @lru_cache(maxsize=512)

@@ -113,12 +113,6 @@ def kind_next_to_equal(circuit: Circuit) -> str:
     return min(found, key=apart).kind if (found := stationary_states(circuit)) else "neutral"
 
 
-def stable_state(circuit: Circuit) -> State | None:
-    """Return the stable polarised state with the largest chi, None if there is none."""
-    stable = [state for state in stationary_states(circuit) if state.kind == "stable"]
-    return stable[-1] if stable else None
-
-
 def places_of(circuit: Circuit, half: float) -> NDArray[np.float64]:
     """Return N1 at which g is evaluated, from just below N/2 down to 0."""
     threshold = float(circuit.threshold)

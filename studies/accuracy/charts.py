@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from postproc.figures import style
-from postproc.theory.models import MODELS
 from studies.accuracy import ladder
 from studies.accuracy.ladder_errors import TIMES, expected, pareto
+from studies.common import numbers
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -25,10 +25,11 @@ if TYPE_CHECKING:
 
     from studies.accuracy.ladder_map import Floats
 
-# of engines: discs, squares and triangles; theories are crosses and stars (`theory.models`)
+# engines: discs, squares and triangles; theories: crosses
 LOOKS = {
     "excursion": ("o", style.BLUE), "collision": ("s", style.SKY),
     "synchronous": ("D", style.BLACK), "reservoir": ("^", style.GREEN),
+    "window": ("P", style.VERMILION), "renewal": ("X", style.ORANGE), "direction": ("X", "#6A3D9A"),
 }  # fmt: skip
 STEPPED = (">", style.GREY)  # timestep, whatever its step
 WIDE = {"collision": 8.0, "synchronous": 4.0}  # sizes of marks that coincide, one inside the other
@@ -46,8 +47,6 @@ RING = {"color": style.BLACK, "mfc": "none", "ms": 10, "mew": 0.6}
 
 def look(line: dict) -> tuple[str, str]:
     """Return mark and colour of a rung."""
-    if model := MODELS.get(line["name"]):
-        return model.mark, style.colour(model.colour)
     return LOOKS.get(line["name"], STEPPED)
 
 
@@ -84,7 +83,7 @@ def _draw(
     if alpha:
         axes.errorbar([at], [size], [error], fmt=mark, color=colour, ms=5, alpha=alpha)
     else:
-        style.bound(axes, at, bound, mark, colour, WIDE.get(line["name"], 5.0))
+        numbers.bound(axes, at, bound, mark, colour, WIDE.get(line["name"], 5.0))
     if run is not None:
         axes.plot(*run, "-", color=colour, lw=0.8)
 
@@ -143,7 +142,7 @@ def figure_map(rows: Sequence[dict]) -> Figure:
               "transition": "relative error of transition $T$"}  # fmt: skip
     made, panels = _chart(rows, titles, draw, 4.1, xlim=(5e-4, 1e4), ylim=(LEAST, 2.0),
                           xlabel="processor time of a point (s)")  # fmt: skip
-    best = {"color": style.YELLOW, "lw": 4.0}
+    best = {"color": "#F0E442", "lw": 4.0}
     for axes, quantity in zip(panels, titles, strict=True):
         axes.plot(TIMES, pareto(rows, quantity), solid_capstyle="butt", zorder=0.5, **best)
     panels[0].set_ylabel("root mean square over the map")

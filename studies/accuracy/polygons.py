@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from postproc.theory import outlines
+from studies.common.geometry import CROOKED
 from studies.common.text import number
 from studies.common.visits import compared_visits
 
@@ -18,7 +19,7 @@ WIDTHS = ("0.3", "0.01")  # w, w'
 # Vertical sides to the last digit of the highest precision.
 POLYGONS: dict[str, Outline] = {
     "regular hexagon": tuple((round(x, 12), round(y, 12)) for x, y in outlines.regular(6, 1.0)),
-    "crooked hexagon": outlines.CROOKED,
+    "crooked hexagon": CROOKED,
     "twelve sides, some reach in": (
         (1.0, -0.6), (1.0, 0.6), (1.4, 0.7), (1.3, 1.2), (-0.5, 1.1), (-0.6, 0.3), (-1.0, 0.9),
         (-1.2, 0.5), (-1.2, -0.5), (-0.3, -1.0), (0.2, -0.4), (0.7, -1.1),

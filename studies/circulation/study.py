@@ -214,13 +214,19 @@ def by_rounds(rates: Floats, decay: float, rounds: Floats) -> float:
     return float(circulation.filled(rates[1] - rates[0], decay, rounds).mean())
 
 
+def most_polarised(circuit: Circuit) -> direction.Held:
+    """Return the circuit held in its most polarised stable state."""
+    stable = [held for held, kind in direction.held_states(circuit) if kind == "stable"]
+    return max(stable, key=lambda one: abs(one.in_half[1] - one.in_half[0]))
+
+
 def reversal(circuit: Circuit) -> float:
     """Return the chance to be turned back in gate 1 at the shortest stay, by the cosine law.
 
     Entries are as many as by `direction`.
     """
     threshold, half = int(circuit.sides[0].threshold), 0.5 * float(circuit.channel1_length)
-    entries = float(direction.most_polarised(circuit).entries[0, 0])
+    entries = float(most_polarised(circuit).entries[0, 0])
     return 1.0 - float(fate.passing(threshold, entries, *fate.cosine_law(half))[0])
 
 
@@ -248,7 +254,7 @@ def predicted_rates(work: study.Study, at: int) -> Logs:
 
 def told_currents(circuit: Circuit, ages: Floats, draws: int) -> Logs:
     """Return the net current of `direction` at each age, by draw, and without what circulates."""
-    held = direction.most_polarised(circuit)
+    held = most_polarised(circuit)
     flows, urns = (held.entries[:, 0], held.across[:, 0]), [*map(ports.disc, circuit.sides)]
     sign, found = math.copysign(1.0, held.net_current), []
     for draw in range(draws):

@@ -1,4 +1,4 @@
-"""Means and transitions of replicas with their errors, tables of numbers, error bars."""
+"""Means and transitions of replicas with their errors, tables of numbers, error bars and bounds."""
 
 from __future__ import annotations
 
@@ -78,3 +78,10 @@ def bars(
     x = [row[across] for row in rows] if isinstance(across, str) else across
     y, off = (np.array([row[name] for row in rows], float) for name in (up, error or f"{up}_error"))
     axes.errorbar(x, y, off, **({"ms": 3.5} | look))
+
+
+def bound(axes: Axes, x: float, y: float, mark: str, colour: str, size: float = 5.0) -> None:
+    """Draw an upper bound: an open mark with an arrow downwards."""
+    axes.plot([x], [y], mark, color=colour, mfc="none", ms=size)
+    axes.annotate("", (x, y), (0, -15), textcoords="offset points",
+                  arrowprops={"arrowstyle": "<-", "color": colour})  # fmt: skip

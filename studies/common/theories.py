@@ -74,12 +74,12 @@ _OTHERS = (
     replace(
         MODELS["renewal"], name="renewal_occupation", label="renewal gate with channels",
         meaning="as `renewal`, and particles in the channels taken into account", seconds=0.03,
-        dashes=":", mark="*", colour="brown", adds_to="renewal", changes=_COUNTED,
+        dashes=":", adds_to="renewal", changes=_COUNTED,
     ),
     replace(
         MODELS["direction"], name="two_port", label="two ports",
         meaning="exact gates, and memory of the opening of entry", seconds=0.3, dashes="-.",
-        mark="P", colour="purple", theory=_PORTS,
+        theory=_PORTS,
         unlike=replace(_PORTS, transition_width=MODELS["direction"].theory.transition_width),
     ),
 )  # fmt: skip

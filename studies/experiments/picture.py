@@ -11,6 +11,7 @@ from scipy import stats
 
 from postproc.figures import style
 from postproc.theory.direction import DIFFUSION
+from studies.common.numbers import bound
 from studies.experiments import predictions
 
 if TYPE_CHECKING:
@@ -88,7 +89,7 @@ def _draw_turns(axes: Axes, laws: Sequence[dict]) -> None:
         axes.errorbar(place[there], counts / law["time"], np.abs(ends - counts) / law["time"],
                       label=label, **look)  # fmt: skip
         for one in none:
-            style.bound(axes, place[one], NONE / law["time"], mark, colour, 3.5)
+            bound(axes, place[one], NONE / law["time"], mark, colour, 3.5)
         axes.plot(rounds, law["predicted"] / rounds, color=colour, ls=dashes, lw=0.8,
                   label="predicted")  # fmt: skip
     axes.set_xlim(0.6, 2e4)

@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.polynomial import legendre
 
+from postproc.theory import direction
+
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
@@ -38,6 +40,13 @@ def direction_weights() -> tuple[Floats, Floats]:
     )
     weights = (2 * degrees + 1) * parts**2
     return degrees * (degrees + 1.0), weights / weights.sum()
+
+
+def diffusion(radius: float, width: float) -> float:
+    """Return D of directions per visit, by the second eigenvalue exp(-6 D) of K11 without w'."""
+    kernel = direction.transfer(radius, width, direction.NARROWEST * radius).kernel[0, 0]
+    first, second = np.sort(np.linalg.eigvals(kernel).real)[:-3:-1]
+    return math.log(first / second) / 6.0
 
 
 def autocorrelation(diffusion: float, visits: ArrayLike) -> Floats:

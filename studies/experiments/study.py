@@ -24,7 +24,6 @@ import postproc
 from postproc.advice.transients import circulation_rate, memory_time
 from postproc.theory import circuit as theory
 from postproc.theory import ports
-from postproc.theory.direction import diffusion
 from postproc.theory.renewal import RENEWAL
 from studies.common import circulations, study
 from studies.common.event_log import (
@@ -113,7 +112,7 @@ def directions(work: study.Study) -> tuple[list[Row], list[dict]]:
         seen = entries_of(particle_events(read_log(work.run("events", name, changes, alone=True))))
         values = autocorrelations(*seen, lags, 0.5 * duration)
         mean, error = values.mean(axis=0), values.std(axis=0, ddof=1) / math.sqrt(GROUPS)
-        scale = diffusion(1.0, width)
+        scale = predictions.diffusion(1.0, width)
         if width == WIDTHS[0]:
             predicted = predictions.autocorrelation(scale, lags)
             rows += [

@@ -98,6 +98,11 @@ def test_those_in_the_channels_are_taken_from_the_halves() -> None:
     assert inside[0] < 35.0
 
 
+@pytest.mark.parametrize(("width", "expected"), [(0.3, 0.06642), (0.1, 0.06546), (1e-3, 0.06535)])
+def test_directions_diffuse_slower_through_narrower_openings(width: float, expected: float) -> None:
+    assert predictions.diffusion(1.4, 1.4 * width) / width**2 == pytest.approx(expected, rel=2e-3)
+
+
 def test_program_returns_less_than_chance_has_it(tmp_path: Path) -> None:
     share, stay = experiments.two_ports(Short(tmp_path, HERE, ranks=1))
     assert share.measured + 4.0 * share.error < share.mixed

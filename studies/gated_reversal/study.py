@@ -27,6 +27,7 @@ from studies.common.event_log import (
     particle_events,
     read_log,
 )
+from studies.common.numbers import bound
 from studies.common.theories import told
 from studies.gated_reversal import examples, pasts
 
@@ -269,7 +270,7 @@ def _draw_shares(
     axes.errorbar(x[seen], share[seen], error[seen], fmt=f"{mark}-", color=colour, ms=2.5, lw=0.8,
                   elinewidth=1.0, capsize=3.0, **look)  # fmt: skip
     for place, count in zip(x[share == 0.0], counts[share == 0.0], strict=True):
-        style.bound(axes, place, bound_of_none(count), mark, colour, 3.5)
+        bound(axes, place, bound_of_none(count), mark, colour, 3.5)
 
 
 def tables(work: study.Study, scan: Sequence[dict], turned: Sequence[dict]) -> None:

@@ -14,8 +14,8 @@ from postproc.cli import InputError
 from postproc.tests.runs import BARE, results_of
 from postproc.theory.circuit import Circuit, gate_load
 from postproc.theory.renewal import RENEWAL
-from postproc.theory.states import stable_state
 from studies.common.study import ROOT
+from studies.common.theories import THEORIES
 from studies.one_particle import study as comp01
 from studies.one_particle import walkers
 from studies.one_particle.study import HOLLOW, hollow, root_mean_square
@@ -58,7 +58,7 @@ def test_well_mixed_gates_are_renewal_gates() -> None:
 def test_well_mixed_urns_are_in_the_renewal_gates_state() -> None:
     """Its numbers come out, those in the channels counted."""
     for circuit in (PAPER, replace(PAPER, **UNLIKE, channel2_width=0.03)):
-        expected = stable_state(replace(circuit, gate=RENEWAL, occupation=True))
+        expected = THEORIES["renewal_occupation"].stable_state(circuit)
         share = expected.urn2_number / circuit.number
         walked = walk(circuit, share, FORGETFUL, well_mixed=True)
         spread = 2.0 * walked.half2_number / circuit.number - 1.0

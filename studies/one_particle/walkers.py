@@ -14,16 +14,16 @@ of independent batches of walkers.
 from __future__ import annotations
 
 import subprocess
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from postproc.cli import InputError, ended_with_python
 from postproc.progress import doing
-from postproc.theory.renewal import RENEWAL
-from postproc.theory.states import State, stable_state
+from postproc.theory.states import State
 from studies.common.study import ROOT
+from studies.common.theories import THEORIES
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -99,7 +99,8 @@ class Walked:
 
 def effort_for(circuit: Circuit, copies: int = COPIES) -> Effort:
     """Return an effort of at most about `MOST_VISITS`, by a limited time."""
-    circuit.need_discs("the one-particle model")
+    if circuit.outline is not None:
+        raise InputError("the one-particle model knows urns that are discs only")
     radius = max(float(side.urn_radius) for side in circuit.sides)
     width1, width2 = float(circuit.channel1_width), float(circuit.channel2_width)
     transient = max(RELAXATIONS * 25.0 * radius**4 / width1**3, 2.0 * SHORTEST * radius)
@@ -170,7 +171,7 @@ def stationary_states(circuit: Circuit, effort: Effort | None = None) -> list[Dr
 
 def _polarised_share(circuit: Circuit) -> float:
     """Return a polarised share of urn 2, that of the renewal gate if it has such a state."""
-    guess = stable_state(replace(circuit, gate=RENEWAL, occupation=True))
+    guess = THEORIES["renewal_occupation"].stable_state(circuit)
     return guess.urn2_number / float(circuit.number) if guess else 1.0 - EMPTIER
 
 

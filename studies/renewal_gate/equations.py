@@ -38,6 +38,18 @@ LEAST = 1e-250  # probabilities below it are taken as 0
 LANES = 4096  # gates that are simulated together
 
 
+def share_of_one(load: Floats) -> Floats:
+    """Return the exact share for T = 1, with p the probability of no entry during a stay.
+
+    From an entry into an empty gate e C - 1 = 1 + p (e C - 1), so the share is p/(2 - p).
+    """
+    nodes, weights = np.polynomial.legendre.leggauss(200)
+    angle = 0.25 * np.pi * (nodes + 1.0)
+    stay = np.exp(-np.multiply.outer(load / (0.5 * np.pi), 1.0 / np.cos(angle)))
+    alone = stay @ (0.25 * np.pi * weights * np.cos(angle))
+    return alone / (2.0 - alone)
+
+
 def share(threshold: int, load: float, order: int, cells: int) -> float:
     """Return the share that passes; load: mean number inside without a threshold."""
     nu, h, now, rate = load / (0.5 * math.pi), 1.0 / cells, 1.0, 1.0

@@ -16,9 +16,8 @@ from postproc.theory.renewal import (
     coordinates,
     exponential_logit,
     load_range,
-    share_of_one,
 )
-from studies.renewal_gate.equations import share, simulated
+from studies.renewal_gate.equations import share, share_of_one, simulated
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

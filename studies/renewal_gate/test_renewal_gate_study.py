@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from postproc.theory.renewal import RENEWAL, share_of_one
+from postproc.theory.renewal import RENEWAL
 from studies.renewal_gate import fit
+from studies.renewal_gate.equations import share_of_one
 
 pytestmark = pytest.mark.full  # a minute
 ACCURACY = 2e-5
