@@ -19,7 +19,7 @@ from postproc.cli import InputError
 from postproc.figures import style
 from postproc.figures.maps import edges, map_of
 from postproc.reading.points import alike, files_of, groups, keys_of, means
-from postproc.theory.circuit import gate_load, in_urn, log_outflow
+from postproc.theory.circuit import gate_load, log_outflow
 from postproc.theory.models import MODELS
 
 if TYPE_CHECKING:
@@ -113,7 +113,7 @@ def slope_load(circuit: Circuit, thresholds: Floats, model: Model) -> Floats:
     It depends on N and T only: without channel 2, lengths enter only by the load of the gates.
     """
     own, half = model.of(_of_loads(circuit, thresholds)), 0.5 * float(circuit.number)
-    inside = in_urn(own, np.full((LOADS.size, thresholds.size), half))
+    inside = np.full((LOADS.size, thresholds.size), half)
     return crossing(LOADS, own.gate.slope(own.threshold, gate_load(own, inside)))
 
 

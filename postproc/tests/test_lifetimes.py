@@ -14,7 +14,7 @@ from scipy import stats
 from postproc.figures.passages import first_passage
 from postproc.tests.commands import call
 from postproc.theory import chain
-from postproc.theory.circuit import Circuit, half2_number, held_in_channels, in_urn
+from postproc.theory.circuit import Circuit
 
 
 def _generator(circuit: Circuit) -> np.ndarray:
@@ -123,21 +123,3 @@ def test_command_line(capsys: pytest.CaptureFixture[str]) -> None:
     printed = json.loads(capsys.readouterr().out)
     assert printed["barrier"] == pytest.approx(0.7484, abs=1e-4)
     assert printed["homogeneous"] > printed["polarised"] > 0.0
-
-
-@pytest.mark.parametrize("threshold", [2, 7, 15])
-def test_occupation_counts_everyone(threshold: int) -> None:
-    circuit = Circuit(1000, threshold, occupation=True)
-    for share in (1.0, 300.0, 500.0, 950.0):
-        inside = float(in_urn(circuit, share))
-        here, beyond = held_in_channels(circuit, inside)
-        assert inside + float(here + beyond) == pytest.approx(share, rel=1e-10)
-    halves = half2_number(circuit, np.array([100.0, 900.0]))
-    assert halves.sum() == pytest.approx(1000.0, rel=1e-10)
-
-
-def test_occupation_of_a_free_circuit_fills_it_uniformly() -> None:
-    circuit = Circuit(1000, 1000, channel2_width=0.2, occupation=True)
-    area = float(circuit.urn_area)
-    inside = float(in_urn(circuit, 500.0))
-    assert inside == pytest.approx(500.0 * area / (area + 0.15 + 0.1), rel=1e-12)

@@ -18,14 +18,12 @@ from postproc.theory.circuit import (
     flow1,
     flow2,
     homogeneous_kind,
-    in_urn,
     log_outflow,
     single_urn_current,
     transition_width,
 )
 from postproc.theory.gates import WINDOW
 from postproc.theory.models import MODELS, describe
-from postproc.theory.renewal import RENEWAL
 from postproc.theory.states import crossings, stationary_states
 
 PAPER = Circuit(number=1000, threshold=7)
@@ -188,50 +186,6 @@ def test_transition_line_obeys_its_formula() -> None:
     x = 1000 * 0.3 / (8 * float(circuit.urn_area))
     formula = x**7 * math.exp(-x) / math.factorial(6) - float(WINDOW.share(7, x))
     assert circuit.channel2_width / 0.3 == pytest.approx(formula, rel=1e-9)
-
-
-def _counted(circuit: Circuit) -> Circuit:
-    return replace(circuit, gate=RENEWAL, occupation=True)
-
-
-@pytest.mark.parametrize("threshold", [3, 7, 14])
-def test_in_short_channels_counting_them_moves_no_transition(threshold: int) -> None:
-    # as many particles more as the gates are shorter: the loads, and with them the line, stay
-    long = replace(PAPER, threshold=threshold, gate=RENEWAL)
-    short = replace(long, number=10**9, channel1_length=1e-6, channel2_length=0.0)
-    line = transition_width(long)
-    assert transition_width(short) == pytest.approx(line, rel=1e-6)
-    assert transition_width(_counted(short)) == pytest.approx(line, rel=1e-4)
-    assert transition_width(_counted(long)) != pytest.approx(line, rel=1e-3)
-
-
-def test_counting_the_channels_moves_the_battery_to_smaller_thresholds() -> None:
-    for threshold, moved in ((3, 1), (5, 1), (14, -1), (15, -1), (16, -1)):
-        circuit = replace(PAPER, threshold=threshold, gate=RENEWAL)
-        line, counted = transition_width(circuit), transition_width(_counted(circuit))
-        assert moved * (counted - line) > 0.0
-
-
-@pytest.mark.parametrize("threshold", [3, 7, 14])
-def test_transition_is_that_of_those_in_the_urns(threshold: int) -> None:
-    circuit = _counted(replace(PAPER, threshold=threshold))
-    width = transition_width(circuit)
-    inside = in_urn(replace(circuit, channel2_width=width), 500.0)
-    fewer = replace(circuit, number=2.0 * inside, occupation=False)
-    assert transition_width(fewer) == pytest.approx(width, rel=1e-6)
-    kinds = [
-        homogeneous_kind(replace(circuit, channel2_width=width * factor))
-        for factor in (1 - 1e-5, 1 + 1e-5)
-    ]
-    assert kinds == ["unstable", "stable"]
-
-
-def test_a_free_single_urn_fills_its_channel_uniformly() -> None:
-    # the gate is l/2 long, and ends at the wall
-    urn = Circuit(500, 500, 0.3, 0.0, gate=RENEWAL, occupation=True, shape="urn")
-    area = float(urn.urn_area) + 0.3 * 0.5
-    current = single_urn_current(urn)
-    assert float(current) == pytest.approx(500 * 0.3 / (math.pi * area), rel=1e-9)
 
 
 def test_threshold_zero_lets_nothing_through() -> None:

@@ -188,7 +188,7 @@ def test_diffusion_of_directions_is_derived() -> None:
 
 def test_where_fates_ask_for_no_direction_the_cosine_law_comes_out() -> None:
     # nearly free gates: everyone passes
-    circuit = Circuit(200, 60, 0.3, 0.05, gate=RENEWAL, occupation=True)
+    circuit = Circuit(200, 60, 0.3, 0.05, gate=RENEWAL)
     held = direction.Directions(circuit).held(0.3)
     assert held.in_half.sum() == pytest.approx(200.0, rel=1e-4)
     # with the gates open directions stay as they come in: by the cosine law
@@ -199,7 +199,7 @@ def test_where_fates_ask_for_no_direction_the_cosine_law_comes_out() -> None:
 
 def test_sparse_urn_sends_less_than_well_mixed() -> None:
     # measured 0.85 to 0.92; T = 1, N = 400, sparse urn with 14, 23, 31, 46 particles
-    circuit = Circuit(400, 1, gate=RENEWAL, occupation=True)
+    circuit = Circuit(400, 1, gate=RENEWAL)
     equations, stays = direction.Directions(circuit), fate.cosine_law(0.5)
     found = []
     for number in (14, 23, 31, 46):
@@ -212,7 +212,7 @@ def test_sparse_urn_sends_less_than_well_mixed() -> None:
 
 def test_drift_vanishes_at_380() -> None:
     for number, sign in ((360, 1.0), (380, 0.0), (400, -1.0)):
-        equations = direction.Directions(Circuit(number, 1, gate=RENEWAL, occupation=True))
+        equations = direction.Directions(Circuit(number, 1, gate=RENEWAL))
         for chi in (0.25, 0.4, 0.57):
             held = equations.held(0.5 * (1.0 - chi))
             drift = math.log(held.sent[0] / held.sent[1])
@@ -221,7 +221,7 @@ def test_drift_vanishes_at_380() -> None:
 
 def test_polarised_state_is_lost_between_380_and_400() -> None:
     for number, states in ((380, 1), (400, 0)):
-        circuit = Circuit(number, 1, gate=RENEWAL, occupation=True)
+        circuit = Circuit(number, 1, gate=RENEWAL)
         found = [one for one in direction.stationary_states(circuit) if one.kind == "stable"]
         assert len(found) == states
 
@@ -251,7 +251,7 @@ def test_both_states_live_equally_long_where_they_are_measured_to() -> None:
 
 
 def test_state_does_not_depend_on_where_it_is_looked_for_from() -> None:
-    circuit = Circuit(1000, 7, gate=RENEWAL, occupation=True)
+    circuit = Circuit(1000, 7, gate=RENEWAL)
     equations = direction.Directions(circuit)
     fresh = equations.held(0.1)
     led = equations.held(0.1, equations.held(0.2))

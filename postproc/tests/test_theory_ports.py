@@ -18,7 +18,7 @@ from postproc.theory.renewal import RENEWAL
 from postproc.theory.returns import return_chance
 from postproc.theory.visits import first_multiple, visits
 
-PAPER = Circuit(1000, 7, gate=RENEWAL, occupation=True)
+PAPER = Circuit(1000, 7, gate=RENEWAL)
 # w and w', then a, t1 and t2 of 4e6 drawn visits and their errors: the study of accuracy
 Pair = tuple[float, float]
 DRAWN = (

@@ -57,12 +57,9 @@ def test_tricritical_loads_of_the_renewal_gate(threshold: int, load: float) -> N
     assert ratio == pytest.approx(4.0 / 3.0, rel=1e-5)
 
 
-@pytest.mark.parametrize("occupation", [False, True])
 @pytest.mark.parametrize(("part", "expected"), [(0.9, "continuous"), (1.1, "jump")])
-def test_order_is_that_of_the_states_next_to_the_transition(
-    part: float, expected: str, *, occupation: bool
-) -> None:
-    circuit = Circuit(1, 7, gate=RENEWAL, occupation=occupation)
+def test_order_is_that_of_the_states_next_to_the_transition(part: float, expected: str) -> None:
+    circuit = Circuit(1, 7, gate=RENEWAL)
     circuit = replace(circuit, number=part * tricritical(circuit).number)
     assert order(circuit) == expected
     width = transition_width(circuit)

@@ -28,8 +28,6 @@ if TYPE_CHECKING:
     Floats = NDArray[np.float64]
 
 PAPERS_AGE = 1.4e5  # at which the paper's runs end
-ROUNDS = 60  # at most, of the iteration for the numbers in urns and channels
-TINY = 1e-300
 WIDTHS_TRIED = 400  # values between 0 and 2r at which a transition is searched for
 
 
@@ -48,11 +46,6 @@ class Circuit:
         the one-channel model of J. Phys. A 53, 305001 (2020).
     urn_radius : r.
     gate : model of the gates, the share of entries that gets through.
-    occupation : whether particles in the channels are distinguished from those in the urns. If not,
-        as in the paper, a half with N1 particles has all of them in its urn. If so, an urn's
-        *share* of the particles, the argument of all functions of a number of particles, is the
-        number in it and in the channels that belongs to it (`held_in_channels`); the shares of both
-        urns add up to N.
     shape : "circuit", or "urn": the appendix's single urn with gate 1 and an end wall. It has no
         channel 2, so w' = 0; particles that hit the wall return through the gate, so they are in it
         for 2 tau, as in the circuit particles are in both gates.
@@ -73,7 +66,6 @@ class Circuit:
     channel1_length: ArrayLike = 1.0
     channel2_length: ArrayLike = 1.0
     gate: Gate = WINDOW
-    occupation: bool = False
     shape: str = "circuit"
     urn2_radius: ArrayLike | None = None
     gate2_threshold: ArrayLike | None = None
@@ -186,52 +178,17 @@ def gate_load(circuit: Circuit, urn_number: ArrayLike) -> Floats:
     return np.asarray(urn_number, float) * circuit.load_per_particle
 
 
-def held_in_channels(circuit: Circuit, in_urn: ArrayLike) -> tuple[Floats, Floats]:
-    """Return how many particles of an urn are in the channels, in its half and in the other.
-
-    Particles that get through spend tau in either gate and pi l'/4 in either half of channel 2.
-    Reversed ones, T + 1 at a time, have entered one after the other: on average T/(2 nu) before.
-    """
-    load = gate_load(circuit, in_urn)
-    share = circuit.gate.share(circuit.threshold, load)
-    returning = np.asarray(circuit.channel2_width) * np.asarray(circuit.channel2_length)
-    beyond = share * load + np.asarray(in_urn) * returning / (4.0 * circuit.urn_area)
-    return beyond + (1.0 - share) * np.minimum(np.asarray(circuit.threshold), load), beyond
-
-
-def in_urn(circuit: Circuit, number: ArrayLike) -> Floats:
-    """Return the number inside an urn whose share of the particles is `number`."""
-    share = np.asarray(number, float)
-    if not circuit.occupation:
-        return share
-    inside = share / (1.0 + sum(held_in_channels(circuit, share)) / np.maximum(share, TINY))
-    for _ in range(ROUNDS):
-        excess = inside + sum(held_in_channels(circuit, inside)) - share
-        if np.all(np.abs(excess) <= 1e-13 * share):
-            break
-        step = excess / _held_slope(circuit, inside)
-        inside = np.clip(inside - step, 0.5 * inside, share)
-    return inside
-
-
-def _held_slope(circuit: Circuit, inside: Floats) -> Floats:
-    """Return the derivative of an urn's share of the particles by the number inside it."""
-    step = 1e-5 * np.maximum(inside, 1e-6)
-    more, fewer = (sum(held_in_channels(circuit, inside + sign * step)) for sign in (1.0, -1.0))
-    return 1.0 + (more - fewer) / (2.0 * step)
-
-
 def flow1(circuit: Circuit, number: ArrayLike) -> Floats:
     """Return the outflow of an urn with n particles through channel 1, eq. (eqapp5)."""
-    inside = in_urn(circuit, number)
+    inside = np.asarray(number, float)
     share = circuit.gate.share(circuit.threshold, gate_load(circuit, inside))
     return inside * np.asarray(circuit.channel1_width) * share / (np.pi * circuit.urn_area)
 
 
 def flow2(circuit: Circuit, number: ArrayLike) -> Floats:
     """Return the outflow of an urn with n particles through channel 2, n w'/(pi A)."""
-    inside = in_urn(circuit, number)
-    return inside * np.asarray(circuit.channel2_width) / (np.pi * circuit.urn_area)
+    width = np.asarray(circuit.channel2_width)
+    return np.asarray(number, float) * width / (np.pi * circuit.urn_area)
 
 
 def eta(circuit: Circuit, urn2_number: ArrayLike) -> Floats:
@@ -254,14 +211,14 @@ def stability(circuit: Circuit, width: ArrayLike) -> Floats:
     Equal urns with channels 2 of these widths are stable where it is positive.
     """
     at_width = replace(circuit, channel2_width=width)
-    load = gate_load(at_width, in_urn(at_width, 0.5 * float(np.asarray(circuit.number))))
+    load = gate_load(at_width, 0.5 * float(np.asarray(circuit.number)))
     slope = circuit.gate.slope(circuit.threshold, load)
     return np.asarray(width) + float(circuit.channel1_width) * slope
 
 
 def log_outflow(circuit: Circuit, number: ArrayLike) -> Floats:
     """Return log f(n), f(n) = n [w share(T, lambda) + w'], accurate also if f underflows."""
-    inside = in_urn(circuit, number)
+    inside = np.asarray(number, float)
     log_share = circuit.gate.log_share(circuit.threshold, gate_load(circuit, inside))
     # For an empty urn numpy computes -inf + -inf.
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -274,19 +231,6 @@ def net_current2(circuit: Circuit, urn2_number: ArrayLike) -> Floats:
     second = np.asarray(urn2_number, float)
     one, two = circuit.sides
     return flow2(two, second) - flow2(one, np.asarray(circuit.number, float) - second)
-
-
-def half2_number(circuit: Circuit, share2: ArrayLike) -> Floats:
-    """Return N2, the number in half 2, from urn 2's share of the particles.
-
-    The same number unless `occupation` is on.
-    """
-    share = np.asarray(share2, float)
-    if not circuit.occupation:
-        return share
-    one, two = circuit.sides
-    first, second = in_urn(one, np.asarray(circuit.number) - share), in_urn(two, share)
-    return second + held_in_channels(two, second)[0] + held_in_channels(one, first)[1]
 
 
 def homogeneous_kind(circuit: Circuit) -> str:
@@ -322,6 +266,6 @@ def transition_width(circuit: Circuit) -> float:
 def single_urn_current(urn: Circuit) -> Floats:
     """Return the current of the appendix's single urn, eq. (eqapp5): hits on the end wall.
 
-    Per unit time, with all particles as the urn's share.
+    Per unit time, with all particles in the urn.
     """
     return flow1(urn, urn.number)

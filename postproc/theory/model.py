@@ -261,7 +261,7 @@ class Model:
         label = f"line of transition, {self.label}, threshold"
         if self.mixed:
             return _mixed_line(own, whole, label)
-        _, mixed = _mixed_line(replace(circuit, gate=RENEWAL, occupation=False), whole, label)
+        _, mixed = _mixed_line(replace(circuit, gate=RENEWAL), whole, label)
         most = float(np.nanmax(mixed, initial=0.0))
         most = max(WIDER * most, 0.5 * float(circuit.channel1_width))
         even = np.linspace(0.0, most, FEW_WIDTHS)

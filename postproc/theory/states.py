@@ -18,7 +18,6 @@ from scipy import optimize
 
 from postproc.theory.circuit import (
     Circuit,
-    half2_number,
     homogeneous_kind,
     log_outflow,
     net_current2,
@@ -191,9 +190,8 @@ def _with_close_pairs(
 
 def _state(circuit: Circuit, number: float, first: float, kind: str) -> State:
     second = number - first
-    in_half = float(half2_number(circuit, second))
     current = float(net_current2(circuit, second))
-    return State(in_half, kind, abs(2.0 * in_half - number) / number, current)
+    return State(second, kind, abs(2.0 * second - number) / number, current)
 
 
 @dataclass(frozen=True)

@@ -30,7 +30,7 @@ from numpy.polynomial import Chebyshev
 from scipy import optimize
 
 from postproc.cli import InputError
-from postproc.theory.circuit import flow1, flow2, gate_load, in_urn, transition_width
+from postproc.theory.circuit import flow1, flow2, gate_load, transition_width
 
 if TYPE_CHECKING:
     from postproc.theory.circuit import Circuit
@@ -113,6 +113,6 @@ def tricritical(circuit: Circuit) -> Tricritical | None:
             number = float(optimize.brentq(at, few, many, rtol=1e-9))
             width = transition_width(replace(circuit, number=number))
             there = replace(circuit, number=number, channel2_width=width)
-            load = float(gate_load(there, in_urn(there, 0.5 * number)))
+            load = float(gate_load(there, 0.5 * number))
             return Tricritical(number, width, load / float(circuit.threshold))
     return None

@@ -9,37 +9,57 @@ import numpy as np
 import pytest
 
 from postproc.theory import circulation, ports, states
-from postproc.theory.circuit import Circuit
+from postproc.theory.circuit import Circuit, transition_width
 from postproc.theory.gates import WINDOW
 from postproc.theory.models import MODELS
 from postproc.theory.renewal import RENEWAL
 from studies.common import two_port
+from studies.common.theories import THEORIES
 
-PAPER = Circuit(1000, 7, gate=RENEWAL, occupation=True)
+PAPER = Circuit(1000, 7, gate=RENEWAL)
 # w', I/(G0 chi N) over both maps of Fig. numris (chi > 0.5, T >= 6), about +- 0.01
 CONDUCTANCES = ((0.004, 1.043), (0.010, 1.080), (0.020, 1.127), (0.032, 1.164),
                 (0.046, 1.181), (0.062, 1.188), (0.073, 1.189))  # fmt: skip
 
 
 @pytest.mark.parametrize("gate", [WINDOW, RENEWAL])
-@pytest.mark.parametrize("occupation", [False, True])
 @pytest.mark.parametrize("threshold", [2, 7, 15, 18])
 @pytest.mark.parametrize("unlike", [{}, {"gate2_threshold": 9, "urn2_radius": 1.3}])
-def test_well_mixed_urns_have_the_theories_before(
-    gate: object, occupation: bool, threshold: int, unlike: dict[str, float]
+def test_well_mixed_urns_are_in_the_states_of_as_many_particles_as_they_hold(
+    gate: object, threshold: int, unlike: dict[str, float]
 ) -> None:
-    circuit = Circuit(
-        900, threshold, 0.4, 0.02, 1.2, 0.8, 1.3, gate=gate, occupation=occupation, **unlike
-    )
-    expected = states.stationary_states(circuit)
-    found = two_port.stationary_states(circuit, ports.well_mixed)
-    assert [one.kind for one in found] == [one.kind for one in expected]
-    for one, other in zip(found, expected, strict=True):
-        assert one.urn2_number == pytest.approx(other.urn2_number, rel=1e-8)
-        assert one.net_current == pytest.approx(other.net_current, rel=1e-7)
-    kind = two_port.homogeneous_kind(circuit, ports.well_mixed)
-    before = states.kind_next_to_equal if unlike else states.WELL_MIXED.homogeneous_kind
-    assert kind == before(circuit)
+    """The theories of the package have all particles in the urns."""
+    circuit = Circuit(900, threshold, 0.4, 0.02, 1.2, 0.8, 1.3, gate=gate, **unlike)
+    for state in two_port.stationary_states(circuit, ports.well_mixed):
+        inside = two_port.with_number2(circuit, state.urn2_number, ports.well_mixed).in_urn[:, 0]
+        found = states.stationary_states(replace(circuit, number=inside.sum()))
+        one = min(found, key=lambda one: abs(one.urn2_number - inside[1]))
+        assert one.kind == state.kind
+        assert one.urn2_number == pytest.approx(inside[1], rel=1e-6)
+        assert one.net_current == pytest.approx(state.net_current, rel=1e-5)
+
+
+@pytest.mark.parametrize("threshold", [3, 7, 14])
+def test_well_mixed_urns_turn_stable_where_as_many_as_they_hold_do(threshold: int) -> None:
+    circuit = replace(PAPER, threshold=threshold)
+    width = THEORIES["renewal_occupation"].theory.transition_width(circuit)
+    at = two_port.balance(replace(circuit, channel2_width=width), 500.0, ports.well_mixed)
+    fewer = replace(circuit, number=float(at.in_urn.sum()))
+    assert transition_width(fewer) == pytest.approx(width, rel=1e-4)
+
+
+def test_particles_in_channels_move_the_battery_to_smaller_thresholds() -> None:
+    for threshold, moved in ((3, 1), (5, 1), (14, -1), (15, -1), (16, -1)):
+        circuit = replace(PAPER, threshold=threshold)
+        counted = THEORIES["renewal_occupation"].theory.transition_width(circuit)
+        assert moved * (counted - transition_width(circuit)) > 0.0
+
+
+def test_a_free_circuit_is_filled_uniformly() -> None:
+    circuit = replace(PAPER, threshold=1000, channel2_width=0.2)
+    area = float(circuit.urn_area)
+    inside = two_port.balance(circuit, 500.0, ports.well_mixed).in_urn[:, 0]
+    assert inside == pytest.approx(2 * [500.0 * area / (area + 0.15 + 0.1)], rel=1e-9)
 
 
 def test_flows_of_urns_held_apart_are_balanced() -> None:

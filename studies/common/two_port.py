@@ -51,7 +51,7 @@ class Balance:
     across : f, its outflow into channel 2.
     log_share : logarithm of q, the share of `entries` that gets through its gate.
     in_urn : n, number in it.
-    in_half : N, with its gate and its half of channel 2; `in_urn` without `occupation`.
+    in_half : N, with its gate and its half of channel 2.
     """
 
     entries: Floats
@@ -99,12 +99,10 @@ def held(circuit: Circuit, arriving1: Floats, memory: Memory = ports.disc) -> Ba
     log_share = np.stack(
         [side.gate.log_share(side.threshold, load) for side, load in zip(sides, loads, strict=True)]
     )
-    in_half = in_urn
-    if circuit.occupation:
-        share, thresholds = np.exp(log_share), np.array([[float(one.threshold)] for one in sides])
-        beyond = share * loads + 0.25 * np.pi * float(circuit.channel2_length) * leaving2
-        turning = (1.0 - share) * np.minimum(thresholds, loads)
-        in_half = in_urn + turning + beyond + beyond[::-1]
+    share, thresholds = np.exp(log_share), np.array([[float(one.threshold)] for one in sides])
+    beyond = share * loads + 0.25 * np.pi * float(circuit.channel2_length) * leaving2
+    turning = (1.0 - share) * np.minimum(thresholds, loads)
+    in_half = in_urn + turning + beyond + beyond[::-1]
     return Balance(entries, leaving2, log_share, in_urn, in_half)
 
 
@@ -176,7 +174,7 @@ def stationary_states(circuit: Circuit, memory: Memory = ports.disc) -> list[Sta
 
     Parameters
     ----------
-    circuit : the circuit with its gate and `occupation`.
+    circuit : the circuit with its gate.
     memory : memory of an urn, `ports.disc` or `ports.well_mixed`. With the former the current of
         circulating particles (`circulation`) is added.
     """
@@ -217,16 +215,16 @@ def outflows(circuit: Circuit, memory: Memory = ports.disc) -> tuple[Floats, Flo
     return at.in_half[1], sent
 
 
-def with_number2(circuit: Circuit, number2: float) -> Balance:
+def with_number2(circuit: Circuit, number2: float, memory: Memory = ports.disc) -> Balance:
     """Return the stationary pair of urns at N2 = `number2`."""
     number = float(circuit.number)
 
     def excess(first: float) -> float:
-        return float(balance(circuit, first).in_half[1, 0]) - number2
+        return float(balance(circuit, first, memory).in_half[1, 0]) - number2
 
     fewest, most = FEWEST * number, (1.0 - FEWEST) * number
     if excess(fewest) <= 0.0:  # so many do not fit beside those in the channels
-        return balance(circuit, fewest)
+        return balance(circuit, fewest, memory)
     if excess(most) >= 0.0:  # fewer are not possible: channel 2 brings more
-        return balance(circuit, most)
-    return balance(circuit, optimize.brentq(excess, fewest, most, rtol=1e-12))
+        return balance(circuit, most, memory)
+    return balance(circuit, optimize.brentq(excess, fewest, most, rtol=1e-12), memory)

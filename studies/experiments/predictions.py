@@ -10,6 +10,7 @@ import numpy as np
 from numpy.polynomial import legendre
 
 from postproc.theory import direction
+from postproc.theory.circuit import gate_load
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
@@ -24,6 +25,19 @@ DEGREES = 40  # even Legendre polynomials of cos(theta) over sin(theta)
 def mixed_conductance(circuit: Circuit) -> float:
     """Return G0 = w'/(pi A) of urns without memory."""
     return float(circuit.channel2_width) / (math.pi * float(circuit.urn_area))
+
+
+def held_in_channels(circuit: Circuit, in_urn: ArrayLike) -> tuple[Floats, Floats]:
+    """Return how many particles of an urn are in the channels, in its half and in the other.
+
+    Particles that get through spend tau in either gate and pi l'/4 in either half of channel 2.
+    Reversed ones, T + 1 at a time, have entered one after the other: on average T/(2 nu) before.
+    """
+    load = gate_load(circuit, in_urn)
+    share = circuit.gate.share(circuit.threshold, load)
+    returning = np.asarray(circuit.channel2_width) * np.asarray(circuit.channel2_length)
+    beyond = share * load + np.asarray(in_urn) * returning / (4.0 * circuit.urn_area)
+    return beyond + (1.0 - share) * np.minimum(np.asarray(circuit.threshold), load), beyond
 
 
 @lru_cache

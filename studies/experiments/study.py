@@ -150,7 +150,7 @@ def of_halves(circuit: theory.Circuit, chi: float) -> tuple[Floats, float]:
     halves = 0.5 * float(circuit.number) * np.array([1.0 - chi, 1.0 + chi])
     inside = halves.copy()
     for _ in range(50):
-        mine, other = theory.held_in_channels(circuit, inside)
+        mine, other = predictions.held_in_channels(circuit, inside)
         inside = halves - mine - other[::-1]
     return inside, float(halves[1] - halves[0])
 

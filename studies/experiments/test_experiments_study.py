@@ -12,7 +12,7 @@ import pytest
 from postproc.advice.transients import circulation_rate
 from postproc.tests.looks import assert_looks_apart
 from postproc.theory import ports
-from postproc.theory.circuit import Circuit, in_urn
+from postproc.theory.circuit import Circuit
 from postproc.theory.renewal import RENEWAL
 from studies.common import event_log
 from studies.common.event_log import Log, particle_events
@@ -90,8 +90,8 @@ def test_those_in_the_channels_are_taken_from_the_halves() -> None:
     circuit = Circuit(1000, 7, gate=RENEWAL)
     inside, apart = experiments.of_halves(circuit, 0.0)
     assert apart == 0.0
-    counted = Circuit(1000, 7, gate=RENEWAL, occupation=True)
-    assert inside == pytest.approx(2 * [float(in_urn(counted, 500.0))], rel=1e-6)
+    here, beyond = predictions.held_in_channels(circuit, inside)
+    assert inside + here + beyond == pytest.approx(2 * [500.0], rel=1e-9)
     inside, apart = experiments.of_halves(circuit, 0.93)
     assert apart == pytest.approx(930.0)
     assert inside[1] < 965.0
