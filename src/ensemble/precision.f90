@@ -9,7 +9,7 @@
 module battery_precision
   use, intrinsic :: ieee_arithmetic, only: ieee_is_nan
   use, intrinsic :: iso_c_binding, only: c_size_t
-  use battery_blocks, only: error_of_mean
+  use battery_blocks, only: error_of_mean, rounding
   use battery_kinds, only: wp, dp
   use battery_gsl, only: student_quantile, sort_order
   use battery_plan, only: plan_type
@@ -80,8 +80,6 @@ contains
   logical function has_two_states(values) result(yes)
     !> Values, finite, one or more.
     real(dp), intent(in) :: values(:)
-    !> Relative tolerance: values that differ by at most this fraction of the greatest are equal.
-    real(dp), parameter :: rounding = 1.0e-12_dp
     real(dp) :: cut
 
     cut = cut_between_groups(values)

@@ -34,6 +34,9 @@ module battery_blocks
 
   integer, parameter :: most_blocks = 64
 
+  !> Values that differ by at most this fraction of the greatest differ by rounding.
+  real(dp), parameter, public :: rounding = 1.0e-12_dp
+
   !> Averages over the blocks of a run, all of equal length.
   type :: blocks_type
     !> Length of a block in time units; number of complete blocks.
@@ -130,7 +133,8 @@ contains
     end do
   end function cosine_powers
 
-  !> Standard error of the mean of independent values, from their scatter; NaN for fewer than two.
+  !> Standard error of the mean of independent values, from their scatter; 0 where that is rounding,
+  !> NaN for fewer than two values.
   pure function error_of_mean(values) result(error)
     !> In the unit of the quantity, as the error.
     real(dp), intent(in) :: values(:)
@@ -145,6 +149,7 @@ contains
     ! products are fused with sums, and so on the length of the processor's vectors.
     squares = (values - sum(values)/n)**2
     error = sqrt(sum(squares)/(real(n, dp)*real(n - 1, dp)))
+    if (error < rounding*maxval(abs(values))) error = 0.0_dp
   end function error_of_mean
 
   !> Saves or restores the block averages.
