@@ -160,8 +160,7 @@ def test_nothing_is_taken_from_another_machine(tmp_path: Path) -> None:
 def test_killed_while_it_writes_the_lock_file(tmp_path: Path, after_another: bool) -> None:
     """Nothing is left that stops the next run: the file has its text before it has its name."""
     source, library = tmp_path / "kill.c", tmp_path / "kill.so"
-    source.write_text("#include <signal.h>\nlong pwrite() { return raise(SIGKILL); }\n"
-                      "long pwrite64() { return raise(SIGKILL); }\n")  # fmt: skip
+    source.write_text("#include <signal.h>\nint fsync() { return raise(SIGKILL); }\n")
     subprocess.run(["gcc", "-shared", "-fPIC", "-o", library, source], check=True)
     folder = tmp_path / "case"
     folder.mkdir()

@@ -208,11 +208,13 @@ int battery_is_standard_output(const char *path) {
     && found.st_dev == output.st_dev && found.st_ino == output.st_ino && access_mode != O_RDONLY;
 }
 
-/* Writes all bytes to an open file, a pipe or a terminal, and waits while it takes none. */
+/* Writes all bytes to an open file, a pipe or a terminal, and waits while it takes none. If `close` is
+   checked too, no failure goes unnoticed: a full disk may be found out only then. */
 int battery_write_all(int descriptor, const char *bytes, size_t length) {
   while (length > 0) {
     ssize_t written = write(descriptor, bytes, length);
-    if (written >= 0) {
+    if (written == 0) return EIO;
+    if (written > 0) {
       bytes += written;
       length -= (size_t)written;
     } else if (errno == EAGAIN) {
@@ -235,23 +237,6 @@ int battery_write_file(const char *path, const char *bytes, size_t length) {
   return shared || close(descriptor) == 0 || status != 0 ? status : errno;
 }
 
-/* Writes bytes to an open file, all of them, from an offset on. If `close` is checked too, no failure goes
-   unnoticed: a full disk may be found out only then. */
-int battery_write_at(int descriptor, const char *bytes, size_t length, int64_t at) {
-  while (length > 0) {
-    ssize_t written = pwrite(descriptor, bytes, length, at);
-    if (written == 0) return EIO;
-    if (written < 0) {
-      if (errno != EINTR) return errno;
-      continue;
-    }
-    bytes += written;
-    length -= (size_t)written;
-    at += written;
-  }
-  return 0;
-}
-
 /* Bytes of an array. gfortran 11 gives an empty array the extent -1. */
 static size_t bytes_of(const CFI_cdesc_t *values) {
   size_t bytes = values->elem_len;
@@ -269,8 +254,9 @@ int battery_write_parts(const char *path, int64_t at, const CFI_cdesc_t *first, 
   if (status != 0) return status;
   int descriptor = open(path, O_WRONLY | O_CREAT | O_NOFOLLOW | O_CLOEXEC, 0666);
   if (descriptor < 0) return errno;
+  if (lseek(descriptor, at, SEEK_SET) < 0) status = errno;
   for (int k = 0; k < 3 && status == 0; k++) {
-    status = battery_write_at(descriptor, part[k]->base_addr, bytes_of(part[k]), at);
+    status = battery_write_all(descriptor, part[k]->base_addr, bytes_of(part[k]));
     at += (int64_t)bytes_of(part[k]);
   }
   if (status == 0 && ftruncate(descriptor, at) != 0) status = errno;

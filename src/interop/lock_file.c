@@ -15,7 +15,7 @@
 enum { taken = 0, held = 1, unknown = 2, again = 3, failed = 4, not_a_file = 5 };
 enum { locked, locked_by_another, no_locks };
 
-int battery_write_at(int descriptor, const char *bytes, size_t length, int64_t at);
+int battery_write_all(int descriptor, const char *bytes, size_t length);
 
 /* Whether a path still names the open file. */
 static int names(const char *path, int descriptor) {
@@ -103,7 +103,7 @@ static int remove_of_ended(const char *path, const char *text, char *holder, int
 /* Locks the new file, and writes the text of its owner; 0, or an error number. */
 static int write_owner(int descriptor, const char *text) {
   lock(descriptor);
-  int status = battery_write_at(descriptor, text, strlen(text), 0);
+  int status = battery_write_all(descriptor, text, strlen(text));
   return status == 0 && fsync(descriptor) != 0 ? errno : status;
 }
 
