@@ -35,7 +35,9 @@ PARAMETERS = (
 WHOLE = ("number", "threshold", "threshold2", "urn1_number")
 FLOWS = ("flow1_12", "flow1_21", "flow2_12", "flow2_21")
 COMPLETE, NOT_ASKED = 0, 3  # values of `task_status`
-TWO_STATES = 2  # value of `point_status`
+TWO_STATES, UNDECIDED = 2, 3  # values of `point_status`
+#: Variables whose names end so are errors of the mean over all replicas of a point.
+OVER_REPLICAS = ("_spread", "_replica_error")
 #: Keys that may be scanned in place of a parameter.
 FRACTIONS = {"threshold": "threshold_fraction", "urn1_number": "urn1_fraction"}
 
@@ -83,7 +85,7 @@ def flat(data: xr.Dataset, *needed: str) -> xr.Dataset:
         by_point = {name for name in data if set(data[name].dims) <= set(data["task"].dims)
                     and name in (*PARAMETERS, "point_status")}  # fmt: skip
         tasks = [name for name in data if not (name in by_point or
-                 str(name).startswith("theory_") or str(name).endswith("_spread"))]  # fmt: skip
+                 str(name).startswith("theory_") or str(name).endswith(OVER_REPLICAS))]  # fmt: skip
         data = data.assign({name: data[name].expand_dims("replica", axis=-1) for name in tasks})
     axes = [name for name in data["task"].dims if name != "replica"]
     if axes == ["point"]:
