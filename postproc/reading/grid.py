@@ -16,7 +16,7 @@ import xarray as xr
 
 from postproc.cli import InputError, path_of
 from postproc.progress import each
-from postproc.reading.groups import GROUPS, group_of
+from postproc.reading.groups import GROUPS, created, group_of
 from postproc.reading.points import (
     COMPLETE,
     NOT_ASKED,
@@ -232,6 +232,7 @@ def merge(parts: Iterable[str | Path | xr.Dataset]) -> xr.Dataset:
     data.attrs = _attributes([one.attrs for one in given])
     complete, asked = int((data["task_status"] == COMPLETE).sum()), len(table)
     data.attrs |= {"files": [file for one in given for file in one.attrs["files"]],
+                   "created": [date for one in given for date in created(one)],
                    "tasks": f"{complete} of {asked} tasks are complete"}  # fmt: skip
     return data
 

@@ -56,7 +56,7 @@ def group_of(data: xr.Dataset, group: str) -> xr.Dataset:
     for at in np.unique(file[places >= 0]).astype(int):
         path, mine = files[at], np.flatnonzero(file == at)
         with ResultsFile(Path(path)) as opened, opened.damage_reported():
-            if len(files) == 1 and opened.attributes.get("created") != data.attrs.get("created"):
+            if str(opened.attributes.get("created", "")) != created(data)[at]:
                 raise InputError(f"{path}: has changed since it was opened")
             if not opened.has(group):
                 raise InputError(f"{path}: has no {group}{HINTS.get(group, '')}")
@@ -75,6 +75,11 @@ def group_of(data: xr.Dataset, group: str) -> xr.Dataset:
             variables[name] = on_grid if whole else on_grid.where(complete)
     shared = [name for name in (*PARAMETERS, "task") if name in data and name not in found]
     return data[shared].assign(variables)
+
+
+def created(data: xr.Dataset) -> list[str]:
+    """Return when each of the files of a dataset was made."""
+    return [str(one) for one in np.ravel(data.attrs.get("created", ""))]
 
 
 # `data.series` and the others.

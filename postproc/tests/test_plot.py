@@ -325,6 +325,12 @@ def test_merged_results_have_their_series_each_to_its_end(tmp_path: Path) -> Non
         shown = merged["urn1_number"].isel(replica=at).values.ravel()
         assert shown[: own.size].tolist() == own.tolist()
         assert np.isnan(shown[own.size :]).all()
+    both = postproc.merge([postproc.merge(paths[:1]), paths[1]])
+    with edited(paths[1]) as file:
+        file.attrs["created"] = np.bytes_("2000-01-01T00:00:00Z")
+    assert both.isel(replica=[0]).series["urn1_number"].notnull().any()
+    with pytest.raises(InputError, match=r"90\.h5: has changed since it was opened"):
+        both.series  # noqa: B018 (it reads)
     for part in (short[["chi"]], short.mean("replica")):
         with pytest.raises(InputError, match="or of points of it"):
             part.series  # noqa: B018 (it reads)
