@@ -123,10 +123,23 @@ def _read(path: Path, *, verify: bool) -> xr.Dataset:
         data = _with_sides(data, attributes).map(lambda one: _masked(one, known), keep_attrs=True)
         about = {"long_name": "place of the task in its file, from 0"}
         data["task"] = known.dims, np.arange(known.size).reshape(known.shape), about
+        if {"time", "transient_time"} <= set(data):
+            data["age"] = _age(data, attributes)
         data = _on_grid(data, axes)
     data.attrs = {**attributes, "files": [str(path.absolute())],
                   "tasks": f"{int(known.sum())} of {asked} tasks are complete"}  # fmt: skip
     return data
+
+
+def _age(data: xr.Dataset, attributes: dict[str, object]) -> xr.DataArray:
+    """Return the age of each run in the middle of its averages.
+
+    One with a file of its start goes on from a run that ended at its `start_time`.
+    """
+    goes_on = attributes.get("initial_file_fingerprint")
+    before = float(str(attributes.get("start_time", 0.0))) if goes_on else 0.0
+    age = before + 0.5 * (data["transient_time"] + data["time"])
+    return age.assign_attrs(long_name="age in the middle of the averages", units="time")
 
 
 def with_theory(data: xr.Dataset, theory: str | Sequence[str] | bool) -> xr.Dataset:

@@ -254,14 +254,14 @@ def _circuits(points: xr.Dataset) -> list[Circuit]:
 
 
 def _ages(points: xr.Dataset) -> list[float]:
-    """Return the age of each point's runs in the middle of their averages, to two digits.
+    """Return the mean age of each point's runs in the middle of their averages, to two digits.
 
     Where no task is complete, that of the paper's runs.
     """
-    if "transient_time" not in points:
+    if "age" not in points:
         return [PAPERS_AGE] * points.sizes["point"]
-    ends = 0.5 * (points["transient_time"] + points["time"])
-    mean = ends.where(points["complete"] & (ends >= 0.0)).mean("replica")
+    age = points["age"]
+    mean = age.where(points["complete"] & (age >= 0.0)).mean("replica")
     return [float(f"{one:.2g}") if math.isfinite(one) else PAPERS_AGE for one in mean.values]
 
 
