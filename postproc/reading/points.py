@@ -38,6 +38,7 @@ COMPLETE, NOT_ASKED = 0, 3  # values of `task_status`
 TWO_STATES, UNDECIDED = 2, 3  # values of `point_status`
 #: Variables whose names end so are errors of the mean over all replicas of a point.
 OVER_REPLICAS = ("_spread", "_replica_error")
+ROUNDING = 1e-12  # relative, of numbers near 1
 #: Keys that may be scanned in place of a parameter.
 FRACTIONS = {"threshold": "threshold_fraction", "urn1_number": "urn1_fraction"}
 
@@ -99,9 +100,9 @@ def by_point(data: xr.Dataset) -> xr.Dataset:
     """Return a dataset with the dimension `point`, and what is known of each point and task.
 
     Coordinates along `point` are the keys of the scan, in its order. Every parameter has a value at
-    each point. Added are `start`, chi at the beginning; `circuit`, whose urns and gates may be
-    unequal; `two_states`, whether replicas are in two, so that they have no mean; and of each task
-    `asked`, whether it was requested, and `complete`.
+    each point. Added are `start`, chi at the beginning (`_starts`); `circuit`, whose urns and gates
+    may be unequal; `two_states`, whether replicas are in two, so that they have no mean; and of
+    each task `asked`, whether it was requested, and `complete`.
     """
     points = flat(data, "task_status")
     known = [name for name in PARAMETERS if name in points]
@@ -112,7 +113,7 @@ def by_point(data: xr.Dataset) -> xr.Dataset:
     others = [name for name in known if name not in keys]
     points = points.drop_vars(keys).assign({name: columns[name] for name in others})
     points = points.assign_coords({name: columns[name] for name in keys})
-    points["start"] = abs(2.0 * points["urn1_number"] - points["number"]) / points["number"]
+    points["start"] = "point", _starts(points)
     points["complete"], points["asked"] = status == COMPLETE, status != NOT_ASKED
     points["two_states"] = points.get("point_status", xr.zeros_like(points["start"])) == TWO_STATES
     points = points.transpose("point", "replica", ...)
@@ -186,7 +187,7 @@ def need_only(points: xr.Dataset, *shown: str) -> None:
     free = {"urn1_number" if name == "start" else name for name in shown}
     if free & {"number", "threshold_fraction"}:
         free.add("threshold")
-    # Starts are compared as fractions, which are scanned with N.
+    # Starts are compared as chi(0), which is scanned with N.
     columns = {name: points["start" if name == "urn1_number" else name].values
                for name in PARAMETERS if name in points and name not in free}  # fmt: skip
     varying = [name for name, one in columns.items() if np.unique(one).size > 1]
@@ -229,6 +230,23 @@ def scatterers_of(data: xr.Dataset) -> tuple[tuple[float, float, float], ...]:
     """Return the discs in channel 2: z, y, radius of each."""
     values = [float(word) for word in str(data.attrs.get("scatterers", "")).split()]
     return tuple(zip(values[0::3], values[1::3], values[2::3], strict=True))
+
+
+def _starts(points: xr.Dataset) -> Floats:
+    """Return chi at the beginning of each point's runs.
+
+    N1 is rounded to a whole number, so a chi(0) that was asked for is known to 1/N. Points that may
+    have one chi(0) have that of the largest N among them.
+    """
+    number = np.maximum(points["number"].values, 1).astype(float)
+    start = abs(2.0 * points["urn1_number"].values - number) / number
+    low, high, found = start - 1.0 / number, start + 1.0 / number, start.copy()
+    left = np.isfinite(start)
+    while left.any():
+        one = left & (low < high[left].min() - ROUNDING)
+        found[one] = start[one][number[one].argmax()]
+        left &= ~one
+    return found
 
 
 def _circuits(points: xr.Dataset) -> list[Circuit]:

@@ -293,6 +293,22 @@ def test_seeds_of_merged_results_are_those_of_the_files(tmp_path: Path) -> None:
     assert merged["seed"].attrs
 
 
+@pytest.mark.parametrize("fraction", [0.5, 0.9])
+def test_a_start_that_is_rounded_to_whole_numbers_is_one_at_each_number(
+    tmp_path: Path, fraction: float
+) -> None:
+    """As half of an odd N; two starts of one N are two."""
+    path = results_of(tmp_path / "n.h5", scan={"number": [1, 2, 3, 25, 100]}, output=BARE,
+                      particles={"number": None, "urn1_fraction": fraction}, run=SHORT)  # fmt: skip
+    data = postproc.open_results(path)
+    assert points_of(path)["start"].values == pytest.approx([2.0 * fraction - 1.0] * 5)
+    for draw in (plot.curves, plot.characteristic):
+        assert len(draw(data, ax=Figure().add_subplot())) > 0
+    path = results_of(tmp_path / "two.h5", scan={"urn1_fraction": [0.5, 0.501]}, output=BARE,
+                      run=SHORT)  # fmt: skip
+    assert points_of(path)["start"].values == pytest.approx([0.0, 0.002])
+
+
 def test_what_differs_in_merged_runs_is_said(folder: Path, tmp_path: Path) -> None:
     longer = results_of(tmp_path / "longer.h5", scan={"threshold": 2, "replicas": 1}, output=BARE,
                         particles={"number": 200, "seed": 3}, run={"duration": 200.0})  # fmt: skip
