@@ -98,9 +98,9 @@ def _checked(data: xr.Dataset, group: str, names: tuple[str, ...]) -> xr.Dataset
 def each_series(points: xr.Dataset) -> Iterator[tuple[int, xr.Dataset]]:
     """Iterate over complete tasks: the place of the point, and the series of the task to its end.
 
-    `time` are the ends of the intervals; `urn1_number` is N1 then, and `flow...` are crossings per
-    unit time since the entry before. Empty series are left out. Raises `InputError` if none was
-    requested.
+    `time` are the ends of the intervals, `middle` their middles; `urn1_number` is N1 at the ends,
+    and `flow...` are crossings per unit time since the entry before. Empty series are left out.
+    Raises `InputError` if none was requested.
     """
     step = max(1, TOGETHER // points.sizes["replica"])
     for first in range(0, points.sizes["point"], step):
@@ -111,7 +111,9 @@ def each_series(points: xr.Dataset) -> Iterator[tuple[int, xr.Dataset]]:
         known = found[FLOWS[0]].notnull() & (found["urn1_number"] >= 0) & (found["time"] > 0.0)
         for at, replica in np.argwhere(part["complete"].values & known.any("time").values):
             there = np.flatnonzero(known.values[at, replica])
-            yield first + int(at), found.isel(point=at, replica=replica, time=there)
+            one = found.isel(point=at, replica=replica, time=there)
+            begin = np.append(0.0, one["time"][:-1])
+            yield first + int(at), one.assign_coords(middle=0.5 * (begin + one["time"]))
 
 
 def series_of(points: xr.Dataset, point: int, replica: int | None = None) -> list[xr.Dataset]:
