@@ -38,7 +38,7 @@ COMPLETE, NOT_ASKED = 0, 3  # values of `task_status`
 TWO_STATES, UNDECIDED = 2, 3  # values of `point_status`
 #: Variables whose names end so are errors of the mean over all replicas of a point.
 OVER_REPLICAS = ("_spread", "_replica_error")
-ROUNDING = 1e-12  # relative, of numbers near 1
+ROUNDING = 1e-12  # numbers that differ by less, relative to the greatest, are equal
 #: Keys that may be scanned in place of a parameter.
 FRACTIONS = {"threshold": "threshold_fraction", "urn1_number": "urn1_fraction"}
 
@@ -46,8 +46,8 @@ FRACTIONS = {"threshold": "threshold_fraction", "urn1_number": "urn1_fraction"}
 def mean_error(values: xr.DataArray, own_error: xr.DataArray | None = None) -> xr.Dataset:
     """Return the mean over replicas and its standard error.
 
-    The error is the scatter of n >= 2 complete replicas over sqrt(n); for one replica it is the
-    run's own.
+    The error is the scatter of n >= 2 complete replicas over sqrt(n), 0 where it is rounding; for
+    one replica it is the run's own.
 
     Parameters
     ----------
@@ -73,6 +73,7 @@ def mean_error(values: xr.DataArray, own_error: xr.DataArray | None = None) -> x
     good = values.notnull() & (abs(values) < math.inf)
     count = good.sum("replica")
     scatter = values.where(count > 1).std("replica", ddof=1) / np.sqrt(count.where(count > 1))
+    scatter = scatter.where(~(scatter < ROUNDING * abs(values).max("replica")), 0.0)
     if own_error is not None:
         scatter = scatter.where(count > 1, own_error.where(good).sum("replica", min_count=1))
     return xr.Dataset({"mean": values.mean("replica"), "error": scatter, "replicas": count})

@@ -234,6 +234,12 @@ def test_the_characteristic_has_measured_voltage_and_power(folder: Path) -> None
     assert np.array(power.get_data()) == pytest.approx(np.array([current, current * expected]))
 
 
+def test_replicas_that_differ_by_rounding_have_no_scatter() -> None:
+    equal, other = [0.1, np.nextafter(0.1, 1.0), 0.1], [0.1, 0.1 + 1e-9, 0.1]
+    found = postproc.mean_error(xr.DataArray([equal, other], dims=("point", "replica")))
+    assert found["error"].values.tolist() == [0.0, pytest.approx(1e-9 / 3.0)]
+
+
 def test_merged_replicas_are_side_by_side_and_errors_made_anew(folder: Path) -> None:
     paths = [folder / "seed1.h5", folder / "seed2.h5"]
     merged, parts = postproc.merge(paths), [postproc.open_results(path) for path in paths]
