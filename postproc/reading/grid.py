@@ -237,7 +237,8 @@ def merge(parts: Iterable[str | Path | xr.Dataset]) -> xr.Dataset:
     data = data.drop_vars("row").assign(whole)
     for name in keys:
         if name not in axes:
-            data[name] = _without_idle(data[name].max("replica").variable, axes)
+            values = data[name].max("replica").astype(table[name].dtype)
+            data[name] = _without_idle(values.variable, axes)
     data = _of_all_replicas(data)
     for key, one in chain.from_iterable(part.variables.items() for part in given):
         if key in data and not data[key].attrs:

@@ -293,8 +293,8 @@ def test_what_is_complete_in_one_of_merged_files_is_in_the_results(tmp_path: Pat
         assert np.array_equal(merged["chi"].values, chi.values)
 
 
-def test_seeds_of_merged_results_are_those_of_the_files(tmp_path: Path) -> None:
-    """To the last digit, where points have unequal numbers of replicas."""
+def test_whole_numbers_of_merged_results_are_those_of_the_files(tmp_path: Path) -> None:
+    """Seeds to the last digit, where points have unequal numbers of replicas."""
     paths = [results_of(tmp_path / f"{count}.h5", scan={"threshold": count, "replicas": count},
                         output=BARE, **SMALL) for count in (1, 2)]  # fmt: skip
     seeds = [postproc.open_results(path)["seed"].values.ravel().tolist() for path in paths]
@@ -302,6 +302,7 @@ def test_seeds_of_merged_results_are_those_of_the_files(tmp_path: Path) -> None:
     found = merged["seed"].values[merged["task"] >= 0]
     assert found.tolist() == [*seeds[0], *seeds[1]]
     assert merged["seed"].attrs
+    assert {merged[name].dtype.kind for name in ("number", "urn1_number", "threshold")} == {"i"}
 
 
 @pytest.mark.parametrize("fraction", [0.5, 0.9])
