@@ -264,7 +264,7 @@ def _of_all_replicas(data: xr.Dataset) -> xr.Dataset:
         data["point_status"] = found.astype(int)
     for name in [str(name) for name in data]:
         for ending in (one for one in OVER_REPLICAS if name.endswith(one)):
-            apart = ending != "_spread" and data["point_status"] == TWO_STATES
+            apart = ending != "_spread" and data.get("point_status") == TWO_STATES
             found = mean_error(data[name.removesuffix(ending)])["error"]
             data[name] = found.where(np.logical_not(apart))
     return data
