@@ -199,8 +199,9 @@ def run(main: Callable[[list[str] | None], int], arguments: list[str] | None = N
 
     These are `InputError`, and errors of the system: a file or folder, memory, a full output
     device. A reader of the output that has enough is no error: nothing is said, and the exit is
-    141.
+    141. What goes to a stream that is closed is lost.
     """
+    _open_streams()
     try:
         try:
             with progress.told(), warnings.catch_warnings():
@@ -220,6 +221,16 @@ def run(main: Callable[[list[str] | None], int], arguments: list[str] | None = N
     _forget_output()
     print(f"error: {printable(' '.join(message.splitlines()))}", file=sys.stderr)
     return EXIT_BAD_INPUT
+
+
+def _open_streams() -> None:
+    """Open the null device in place of closed streams, under whose numbers files would be opened.
+
+    The system gives the lowest number that is free.
+    """
+    for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
+        if getattr(sys, name) is None:
+            setattr(sys, name, Path(os.devnull).open(mode, encoding="utf-8"))  # noqa: SIM115
 
 
 def printable(text: str) -> str:

@@ -101,6 +101,9 @@ def relaxation(
 ) -> list[Line2D]:  # fmt: skip
     """Draw a variable against time: mean over replicas, and a band of their standard deviation.
 
+    Long series are averaged over short times. chi begins at the start; the current is the mean over
+    intervals of the series, drawn at their middles.
+
     Parameters
     ----------
     data

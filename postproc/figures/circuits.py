@@ -133,19 +133,21 @@ def starts_of(points: xr.Dataset) -> list[float]:
     return (points["number"] - points["urn1_number"]).values.astype(float).tolist()
 
 
-def _spread(series: xr.Dataset, number: float, _start: float) -> Floats:
-    return np.abs(number - 2.0 * series["urn1_number"].values) / number
+def _spread(series: xr.Dataset, number: float, start: float) -> tuple[Floats, Floats]:
+    """Return the start and the ends of intervals, and chi at these times."""
+    first = np.append(start, series["urn1_number"])
+    return np.append(0.0, series["time"]), np.abs(number - 2.0 * first) / number
 
 
-def _polarised_current(series: xr.Dataset, number: float, start: float) -> Floats:
-    """Return the current of channel 2 from the urn that is fuller in the middle of each interval.
+def _polarised_current(series: xr.Dataset, number: float, start: float) -> tuple[Floats, Floats]:
+    """Return the middles of intervals, and the current of channel 2 from the urn fuller then.
 
-    At its end those that crossed are missing from the urn that they left, which is less often the
+    At the end those that crossed are missing from the urn that they left, which is less often the
     fuller one.
     """
     first = series["urn1_number"].values
     fuller = np.sign(np.concatenate([[start], first[:-1]]) + first - number)
-    return fuller * (series["flow2_12"] - series["flow2_21"]).values
+    return series["middle"].values, fuller * (series["flow2_12"] - series["flow2_21"]).values
 
 
 # What is drawn against time: its label, how it is found, steps along the axis, theory's field, and
@@ -172,9 +174,8 @@ def draw_relaxation(
     for at, (circuit, colour) in enumerate(zip(circuits, TIME_COLOURS, strict=False)):
         found, number = [], float(circuit.number)
         for series in series_of(points, at):
-            time = series["time"].values
-            values = quantity_of(series, number, number - starts[at])[time <= end]
-            found.append(binned(time[time <= end], values, steps)[:2])
+            time, values = quantity_of(series, number, number - starts[at])
+            found.append(binned(time[time <= end], values[time <= end], steps)[:2])
         # Replicas of merged files may have other lengths and intervals.
         last = min(middle[-1] for middle, _ in found)
         middle = min((middle[middle <= last] for middle, _ in found), key=len)

@@ -46,13 +46,15 @@ NET_LOOK = {
 
 
 def binned(time: Floats, values: Floats, bins: int) -> Binned:
-    """Return middle, mean and standard error of at most `bins` bins of equally many entries."""
+    """Return means of time and values, and standard errors of the latter, of at most `bins` bins.
+
+    Bins have equally many entries. A flow, which is the mean over an interval, has its middle.
+    """
     pieces = min(bins, time.size)
     starts = np.linspace(0, time.size, pieces + 1).astype(int)
-    begin = np.concatenate([[0.0], time])[starts[:-1]]
-    middle = 0.5 * (begin + time[starts[1:] - 1])
-    parts = [values[one:other] for one, other in itertools.pairwise(starts)]
-    mean = np.array([part.mean() for part in parts])
+    places, parts = ([one[first:last] for first, last in itertools.pairwise(starts)]
+                     for one in (time, values))  # fmt: skip
+    middle, mean = (np.array([part.mean() for part in one]) for one in (places, parts))
     error = np.array(
         [part.std(ddof=1) / np.sqrt(part.size) if part.size > 1 else 0.0 for part in parts]
     )
@@ -128,7 +130,7 @@ def _parts(
         opposite = (state.urn2_number > 0.5 * number) != (reached > 0.5 * number)
         found = model.levels(circuit, state, mirrored=circuit.alike and opposite)
         levels.append(found | {"current2": -found["current2"]})
-    time, flows = series["time"].values, {name: series[name].values for name in FLOW_LOOK}
+    time, flows = series["middle"].values, {name: series[name].values for name in FLOW_LOOK}
     ways = (("flow1_12", "flow1_21"), ("flow2_21", "flow2_12"))
     nets = [binned(time, flows[ahead] - flows[back], BINS) for ahead, back in ways]
     return [binned(time, flows[name], MARKS) for name in FLOW_LOOK], nets, levels

@@ -230,7 +230,7 @@ class Stage:
                 chi = np.abs(total - 2.0 * inside["urn1_number"].values) / total
                 times = inside["time"].values
                 net = (inside["flow2_12"] - inside["flow2_21"]).values
-                middle, mean, _ = binned(times, net, 40)
+                middle, mean, _ = binned(inside["middle"].values, net, 40)
                 right = below.twinx()
                 mean = mean * (np.sign(net[net.size // 2 :].mean()) or 1.0)
                 right.plot(middle, mean, color=style.ORANGE, lw=0.9)

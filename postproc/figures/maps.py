@@ -61,14 +61,18 @@ def map_axes(points: xr.Dataset) -> Keys:
     """Return the keys along the axes of a map; raise `InputError` unless there are two."""
     keys = keys_of(points)
     across, up = axes_of(list(keys))
+    figure = "curves" if across or not keys else "relaxation"
     if not up:
-        found = f"{across} alone was scanned" if across else "here is one point"
+        alone = across or "".join(keys)
+        found = f"{alone} alone was scanned" if alone else "here is one point"
     else:
         places = set(zip(keys[across], keys[up], strict=True))
         if any(len(set(one)) < len(places) for one in zip(*places, strict=True)):
             return across, up
         found = f"{across} and {up} change together"
-    raise cli.InputError(f"a map needs two keys, {found}: figure 'curves' shows it")
+    raise cli.InputError(
+        f"a map needs two keys other than the start, {found}: figure {figure!r} shows it"
+    )
 
 
 def map_of(points: xr.Dataset, keys: Keys, values: Sequence[object] | Floats) -> pd.DataFrame:

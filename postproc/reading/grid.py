@@ -16,11 +16,14 @@ import xarray as xr
 
 from postproc.cli import InputError, path_of
 from postproc.progress import each
-from postproc.reading.groups import GROUPS, group_of
+from postproc.reading.groups import GROUPS, created, group_of
 from postproc.reading.points import (
     COMPLETE,
     NOT_ASKED,
+    OVER_REPLICAS,
     PARAMETERS,
+    TWO_STATES,
+    UNDECIDED,
     by_point,
     flat,
     mean_error,
@@ -42,6 +45,8 @@ if TYPE_CHECKING:
 SIDES = {"gate_threshold": ("gate", "threshold"), "urn_radius": ("urn", "urn_radius")}
 TABLE = ("shape", "urn_shape", "urn_sides", "urn_vertices", "urn2_vertices", "scatterers")
 UNSAID = {"created", "files", "namelist", "status", "tasks", "mpi_ranks", "scan", "differs"}
+# Whole numbers of merged results where a point has fewer replicas than others.
+MISSING = {"task_status": NOT_ASKED, "task": -1, "file": -1, "seed": -1}
 STABLE = {"stable": 1.0, "unstable": 0.0}
 THEORY = {
     "theory_chi": ("", "mass spread by theory"),
@@ -118,10 +123,23 @@ def _read(path: Path, *, verify: bool) -> xr.Dataset:
         data = _with_sides(data, attributes).map(lambda one: _masked(one, known), keep_attrs=True)
         about = {"long_name": "place of the task in its file, from 0"}
         data["task"] = known.dims, np.arange(known.size).reshape(known.shape), about
+        if {"time", "transient_time"} <= set(data):
+            data["age"] = _age(data, attributes)
         data = _on_grid(data, axes)
     data.attrs = {**attributes, "files": [str(path.absolute())],
                   "tasks": f"{int(known.sum())} of {asked} tasks are complete"}  # fmt: skip
     return data
+
+
+def _age(data: xr.Dataset, attributes: dict[str, object]) -> xr.DataArray:
+    """Return the age of each run in the middle of its averages.
+
+    One with a file of its start goes on from a run that ended at its `start_time`.
+    """
+    goes_on = attributes.get("initial_file_fingerprint")
+    before = float(str(attributes.get("start_time", 0.0))) if goes_on else 0.0
+    age = before + 0.5 * (data["transient_time"] + data["time"])
+    return age.assign_attrs(long_name="age in the middle of the averages", units="time")
 
 
 def with_theory(data: xr.Dataset, theory: str | Sequence[str] | bool) -> xr.Dataset:
@@ -189,9 +207,11 @@ def merge(parts: Iterable[str | Path | xr.Dataset]) -> xr.Dataset:
     -------
     xarray.Dataset
         On the grid of the parameters that differ, or with the dimension `point` if the points are
-        not all combinations of these. `..._spread` is that of all replicas. A run that is in two
-        parts, by its seed, is in it once. The attribute `differs` says what else differs: keys of
-        the namelists, versions of the program.
+        not all combinations of these. `..._spread` and `..._replica_error` are those of all
+        replicas; `point_status` is two_states where a part says so, undecided where parts differ
+        otherwise. A run that is in two parts, by its seed, is in it once, complete if it is so in
+        one. The attribute `differs` says what else differs: keys of the namelists, versions of the
+        program.
 
     Raises
     ------
@@ -209,22 +229,44 @@ def merge(parts: Iterable[str | Path | xr.Dataset]) -> xr.Dataset:
     if table[keys].drop_duplicates().shape[0] != math.prod(table[name].nunique() for name in axes):
         table["point"], axes = table.groupby(keys).ngroup(), ["point"]
     table["replica"] = table.groupby(keys).cumcount()
+    table["row"] = np.arange(len(table))
     data = table.set_index([*axes, "replica"]).to_xarray()
-    data["task_status"] = data["task_status"].fillna(NOT_ASKED)
-    data["task"] = data["task"].fillna(-1).astype(int)
+    rows = data["row"].fillna(-1).astype(int)
+    whole = {name: (rows.dims, np.append(table[name], none)[rows])
+             for name, none in MISSING.items()}  # fmt: skip
+    data = data.drop_vars("row").assign(whole)
     for name in keys:
         if name not in axes:
-            data[name] = _without_idle(data[name].max("replica").variable, axes)
+            values = data[name].max("replica").astype(table[name].dtype)
+            data[name] = _without_idle(values.variable, axes)
+    data = _of_all_replicas(data)
     for key, one in chain.from_iterable(part.variables.items() for part in given):
         if key in data and not data[key].attrs:
             data[key].attrs = one.attrs
-    spreads = {str(key) for part in given for key in part if str(key).endswith("_spread")}
-    for name in sorted(spreads):
-        data[name] = mean_error(data[name.removesuffix("_spread")])["error"]
     data.attrs = _attributes([one.attrs for one in given])
     complete, asked = int((data["task_status"] == COMPLETE).sum()), len(table)
     data.attrs |= {"files": [file for one in given for file in one.attrs["files"]],
+                   "created": [date for one in given for date in created(one)],
                    "tasks": f"{complete} of {asked} tasks are complete"}  # fmt: skip
+    return data
+
+
+def _of_all_replicas(data: xr.Dataset) -> xr.Dataset:
+    """Make `point_status` and errors over replicas anew, from all replicas of each point.
+
+    What is there of each replica is that of its file.
+    """
+    if "point_status" in data:
+        decided = data["point_status"].where(data["point_status"] != UNDECIDED)
+        low, high = decided.min("replica"), decided.max("replica")
+        found = low.where(low == high, UNDECIDED)
+        found = found.where((decided != TWO_STATES).all("replica"), TWO_STATES)
+        data["point_status"] = found.astype(int)
+    for name in [str(name) for name in data]:
+        for ending in (one for one in OVER_REPLICAS if name.endswith(one)):
+            apart = ending != "_spread" and data.get("point_status") == TWO_STATES
+            found = mean_error(data[name.removesuffix(ending)])["error"]
+            data[name] = found.where(np.logical_not(apart))
     return data
 
 
@@ -252,7 +294,10 @@ def _tasks(given: Sequence[xr.Dataset]) -> tuple[pd.DataFrame, list[str]]:
         if second in table:
             table[second] = table[second].fillna(table[first])
     keys = [name for name in PARAMETERS if name in table]
-    return table.drop_duplicates([*keys, "seed"]), keys
+    # A run of two files has its place in the first, and is that of the file that has more of it.
+    table["run"] = table.groupby([*keys, "seed"], sort=False, dropna=False).ngroup()
+    table = table.sort_values(["run", "task_status"], kind="stable")
+    return table.drop_duplicates("run").drop(columns="run"), keys
 
 
 def dataset_of(

@@ -56,7 +56,7 @@ def group_of(data: xr.Dataset, group: str) -> xr.Dataset:
     for at in np.unique(file[places >= 0]).astype(int):
         path, mine = files[at], np.flatnonzero(file == at)
         with ResultsFile(Path(path)) as opened, opened.damage_reported():
-            if len(files) == 1 and opened.attributes.get("created") != data.attrs.get("created"):
+            if str(opened.attributes.get("created", "")) != created(data)[at]:
                 raise InputError(f"{path}: has changed since it was opened")
             if not opened.has(group):
                 raise InputError(f"{path}: has no {group}{HINTS.get(group, '')}")
@@ -77,6 +77,11 @@ def group_of(data: xr.Dataset, group: str) -> xr.Dataset:
     return data[shared].assign(variables)
 
 
+def created(data: xr.Dataset) -> list[str]:
+    """Return when each of the files of a dataset was made."""
+    return [str(one) for one in np.ravel(data.attrs.get("created", ""))]
+
+
 # `data.series` and the others.
 for _group in GROUPS:
     xr.register_dataset_accessor(_group)(partial(group_of, group=_group))
@@ -93,9 +98,9 @@ def _checked(data: xr.Dataset, group: str, names: tuple[str, ...]) -> xr.Dataset
 def each_series(points: xr.Dataset) -> Iterator[tuple[int, xr.Dataset]]:
     """Iterate over complete tasks: the place of the point, and the series of the task to its end.
 
-    `time` are the ends of the intervals; `urn1_number` is N1 then, and `flow...` are crossings per
-    unit time since the entry before. Empty series are left out. Raises `InputError` if none was
-    requested.
+    `time` are the ends of the intervals, `middle` their middles; `urn1_number` is N1 at the ends,
+    and `flow...` are crossings per unit time since the entry before. Empty series are left out.
+    Raises `InputError` if none was requested.
     """
     step = max(1, TOGETHER // points.sizes["replica"])
     for first in range(0, points.sizes["point"], step):
@@ -106,7 +111,9 @@ def each_series(points: xr.Dataset) -> Iterator[tuple[int, xr.Dataset]]:
         known = found[FLOWS[0]].notnull() & (found["urn1_number"] >= 0) & (found["time"] > 0.0)
         for at, replica in np.argwhere(part["complete"].values & known.any("time").values):
             there = np.flatnonzero(known.values[at, replica])
-            yield first + int(at), found.isel(point=at, replica=replica, time=there)
+            one = found.isel(point=at, replica=replica, time=there)
+            begin = np.append(0.0, one["time"][:-1])
+            yield first + int(at), one.assign_coords(middle=0.5 * (begin + one["time"]))
 
 
 def series_of(points: xr.Dataset, point: int, replica: int | None = None) -> list[xr.Dataset]:

@@ -35,7 +35,10 @@ PARAMETERS = (
 WHOLE = ("number", "threshold", "threshold2", "urn1_number")
 FLOWS = ("flow1_12", "flow1_21", "flow2_12", "flow2_21")
 COMPLETE, NOT_ASKED = 0, 3  # values of `task_status`
-TWO_STATES = 2  # value of `point_status`
+TWO_STATES, UNDECIDED = 2, 3  # values of `point_status`
+#: Variables whose names end so are errors of the mean over all replicas of a point.
+OVER_REPLICAS = ("_spread", "_replica_error")
+ROUNDING = 1e-12  # numbers that differ by less, relative to the greatest, are equal
 #: Keys that may be scanned in place of a parameter.
 FRACTIONS = {"threshold": "threshold_fraction", "urn1_number": "urn1_fraction"}
 
@@ -43,8 +46,8 @@ FRACTIONS = {"threshold": "threshold_fraction", "urn1_number": "urn1_fraction"}
 def mean_error(values: xr.DataArray, own_error: xr.DataArray | None = None) -> xr.Dataset:
     """Return the mean over replicas and its standard error.
 
-    The error is the scatter of n >= 2 complete replicas over sqrt(n); for one replica it is the
-    run's own.
+    The error is the scatter of n >= 2 complete replicas over sqrt(n), 0 where it is rounding; for
+    one replica it is the run's own.
 
     Parameters
     ----------
@@ -70,6 +73,7 @@ def mean_error(values: xr.DataArray, own_error: xr.DataArray | None = None) -> x
     good = values.notnull() & (abs(values) < math.inf)
     count = good.sum("replica")
     scatter = values.where(count > 1).std("replica", ddof=1) / np.sqrt(count.where(count > 1))
+    scatter = scatter.where(~(scatter < ROUNDING * abs(values).max("replica")), 0.0)
     if own_error is not None:
         scatter = scatter.where(count > 1, own_error.where(good).sum("replica", min_count=1))
     return xr.Dataset({"mean": values.mean("replica"), "error": scatter, "replicas": count})
@@ -83,7 +87,7 @@ def flat(data: xr.Dataset, *needed: str) -> xr.Dataset:
         by_point = {name for name in data if set(data[name].dims) <= set(data["task"].dims)
                     and name in (*PARAMETERS, "point_status")}  # fmt: skip
         tasks = [name for name in data if not (name in by_point or
-                 str(name).startswith("theory_") or str(name).endswith("_spread"))]  # fmt: skip
+                 str(name).startswith("theory_") or str(name).endswith(OVER_REPLICAS))]  # fmt: skip
         data = data.assign({name: data[name].expand_dims("replica", axis=-1) for name in tasks})
     axes = [name for name in data["task"].dims if name != "replica"]
     if axes == ["point"]:
@@ -97,9 +101,9 @@ def by_point(data: xr.Dataset) -> xr.Dataset:
     """Return a dataset with the dimension `point`, and what is known of each point and task.
 
     Coordinates along `point` are the keys of the scan, in its order. Every parameter has a value at
-    each point. Added are `start`, chi at the beginning; `circuit`, whose urns and gates may be
-    unequal; `two_states`, whether replicas are in two, so that they have no mean; and of each task
-    `asked`, whether it was requested, and `complete`.
+    each point. Added are `start`, chi at the beginning (`_starts`); `circuit`, whose urns and gates
+    may be unequal; `two_states`, whether replicas are in two, so that they have no mean; and of
+    each task `asked`, whether it was requested, and `complete`.
     """
     points = flat(data, "task_status")
     known = [name for name in PARAMETERS if name in points]
@@ -110,7 +114,7 @@ def by_point(data: xr.Dataset) -> xr.Dataset:
     others = [name for name in known if name not in keys]
     points = points.drop_vars(keys).assign({name: columns[name] for name in others})
     points = points.assign_coords({name: columns[name] for name in keys})
-    points["start"] = abs(2.0 * points["urn1_number"] - points["number"]) / points["number"]
+    points["start"] = "point", _starts(points)
     points["complete"], points["asked"] = status == COMPLETE, status != NOT_ASKED
     points["two_states"] = points.get("point_status", xr.zeros_like(points["start"])) == TWO_STATES
     points = points.transpose("point", "replica", ...)
@@ -184,7 +188,7 @@ def need_only(points: xr.Dataset, *shown: str) -> None:
     free = {"urn1_number" if name == "start" else name for name in shown}
     if free & {"number", "threshold_fraction"}:
         free.add("threshold")
-    # Starts are compared as fractions, which are scanned with N.
+    # Starts are compared as chi(0), which is scanned with N.
     columns = {name: points["start" if name == "urn1_number" else name].values
                for name in PARAMETERS if name in points and name not in free}  # fmt: skip
     varying = [name for name, one in columns.items() if np.unique(one).size > 1]
@@ -229,6 +233,23 @@ def scatterers_of(data: xr.Dataset) -> tuple[tuple[float, float, float], ...]:
     return tuple(zip(values[0::3], values[1::3], values[2::3], strict=True))
 
 
+def _starts(points: xr.Dataset) -> Floats:
+    """Return chi at the beginning of each point's runs.
+
+    N1 is rounded to a whole number, so a chi(0) that was asked for is known to 1/N. Points that may
+    have one chi(0) have that of the largest N among them.
+    """
+    number = np.maximum(points["number"].values, 1).astype(float)
+    start = abs(2.0 * points["urn1_number"].values - number) / number
+    low, high, found = start - 1.0 / number, start + 1.0 / number, start.copy()
+    left = np.isfinite(start)
+    while left.any():
+        one = left & (low < high[left].min() - ROUNDING)
+        found[one] = start[one][number[one].argmax()]
+        left &= ~one
+    return found
+
+
 def _circuits(points: xr.Dataset) -> list[Circuit]:
     """Return the circuits of all points, from the values of their `PARAMETERS`."""
     names = [name for name in PARAMETERS if name in points]
@@ -252,14 +273,14 @@ def _circuits(points: xr.Dataset) -> list[Circuit]:
 
 
 def _ages(points: xr.Dataset) -> list[float]:
-    """Return the age of each point's runs in the middle of their averages, to two digits.
+    """Return the mean age of each point's runs in the middle of their averages, to two digits.
 
     Where no task is complete, that of the paper's runs.
     """
-    if "transient_time" not in points:
+    if "age" not in points:
         return [PAPERS_AGE] * points.sizes["point"]
-    ends = 0.5 * (points["transient_time"] + points["time"])
-    mean = ends.where(points["complete"] & (ends >= 0.0)).mean("replica")
+    age = points["age"]
+    mean = age.where(points["complete"] & (age >= 0.0)).mean("replica")
     return [float(f"{one:.2g}") if math.isfinite(one) else PAPERS_AGE for one in mean.values]
 
 

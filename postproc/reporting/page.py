@@ -374,7 +374,8 @@ def themed(figures: list[figure]) -> CustomJS:
 def _run(points: xr.Dataset) -> dict[str, str]:
     known = points.attrs
     collisions, seconds = (float(points[name].sum()) for name in ("collisions", "cpu_seconds"))
-    rows = {name.replace("_", " "): known[name] for name in KEPT if name in known}
+    rows = {name.replace("_", " "): ", ".join(dict.fromkeys(map(str, np.ravel(known[name]))))
+            for name in KEPT if name in known}  # fmt: skip
     rows["tasks"] = f"{int(points['complete'].sum())} of {int(points['asked'].sum())} complete"
     rows["wall collisions"] = f"{collisions:.4g}"
     rows["processor time"] = f"{seconds:.4g} s"

@@ -180,6 +180,15 @@ def test_a_reader_that_has_enough_is_no_error(words: list[str]) -> None:
     assert (ended.returncode, ended.stderr) == (141, "")
 
 
+@pytest.mark.parametrize("closed", [">&-", "2>&-", "<&- >&- 2>&-"])
+def test_with_a_closed_stream_a_command_says_nothing_there(closed: str) -> None:
+    words = f'exec "$0" -m postproc theory --number=100 --threshold=3 --theory=window {closed}'
+    ended = subprocess.run(["sh", "-c", words, sys.executable], cwd=ROOT, capture_output=True,
+                           text=True, check=False, timeout=120)  # fmt: skip
+    assert (ended.returncode, ended.stderr) == (0, "")
+    assert bool(ended.stdout) == (">&-" not in closed.split())
+
+
 def theory_to(output: TextIO, words: list[str]) -> subprocess.CompletedProcess[str]:
     """Run the command `theory` with its output to a file."""
     return subprocess.run(

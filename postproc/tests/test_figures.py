@@ -137,9 +137,15 @@ def test_comp06_shows_chi_from_one_and_the_stable_states(folder: Path) -> None:
     assert current.get_xlim() == (0.0, 1000.0)
     assert labels_of(made)[:3] == ["$T = 2$", "$T = 7$", "$T = 18$"]
     drawn = {line.get_label(): line.get_ydata() for line in spread.lines}
-    both = [np.abs(1000.0 - 2.0 * one["urn1_number"].values) / 1000.0 for one in series]
+    chi, flow = ({line.get_label(): line.get_xdata() for line in one.lines}
+                 for one in (spread, current))  # fmt: skip
+    numbers = [np.append(1000.0, one["urn1_number"].values) for one in series]
+    both = [np.abs(1000.0 - 2.0 * one) / 1000.0 for one in numbers]
+    # N1 is known at the ends of intervals, and at the start; flows are those of intervals.
+    assert chi["$T = 7$"] == pytest.approx(np.arange(0.0, 1001.0, 10.0))
+    assert flow["$T = 7$"][[0, -1]] == pytest.approx([10.0, 990.0])
     assert drawn["$T = 7$"] == pytest.approx(np.mean(both, axis=0))
-    band = spread.collections[1].get_paths()[0].vertices[1:101]
+    band = spread.collections[1].get_paths()[0].vertices[1:102]
     assert band[:, 1] == pytest.approx(np.mean(both, axis=0) - np.std(both, axis=0, ddof=1))
     expected = {state.mass_spread for state in states if state is not None}
     levels = {

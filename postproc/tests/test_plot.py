@@ -5,7 +5,8 @@ from __future__ import annotations
 import inspect
 import math
 import pydoc
-from typing import TYPE_CHECKING
+import shutil
+from pathlib import Path
 
 import h5py
 import matplotlib as mpl
@@ -26,9 +27,6 @@ from postproc.reporting import data as columns_of
 from postproc.tests.commands import call
 from postproc.tests.runs import BARE, edited, leave_out, points_of, results_of
 from postproc.theory.models import MODELS
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 SHORT = {"duration": 100.0, "transient_duration": 50.0}
 SMALL = {"particles": {"number": 200}, "run": SHORT}
@@ -116,6 +114,11 @@ def test_a_map_is_of_two_keys_and_has_the_lines_that_are_asked_for(
     ):  # fmt: skip
         with pytest.raises(InputError, match=f"{said}: figure 'curves' shows it"):
             plot.phase_diagram(one, ax=Figure().add_subplot())
+    starts = {"threshold": 2, "urn1_fraction": [0.5, 0.7, 1.0], "replicas": 1}
+    path = results_of(tmp_path / "starts.h5", scan=starts, output=BARE, **SMALL)
+    said = "other than the start, urn1_fraction alone was scanned: figure 'relaxation' shows it"
+    with pytest.raises(InputError, match=said):
+        plot.phase_diagram(postproc.open_results(path), ax=Figure().add_subplot())
     scan |= {"threshold_fraction": [0.01, 0.02]}
     other = postproc.open_results(
         results_of(tmp_path / "fractions.h5", run=SHORT, output=BARE, scan=scan,
@@ -231,6 +234,12 @@ def test_the_characteristic_has_measured_voltage_and_power(folder: Path) -> None
     assert np.array(power.get_data()) == pytest.approx(np.array([current, current * expected]))
 
 
+def test_replicas_that_differ_by_rounding_have_no_scatter() -> None:
+    equal, other = [0.1, np.nextafter(0.1, 1.0), 0.1], [0.1, 0.1 + 1e-9, 0.1]
+    found = postproc.mean_error(xr.DataArray([equal, other], dims=("point", "replica")))
+    assert found["error"].values.tolist() == [0.0, pytest.approx(1e-9 / 3.0)]
+
+
 def test_merged_replicas_are_side_by_side_and_errors_made_anew(folder: Path) -> None:
     paths = [folder / "seed1.h5", folder / "seed2.h5"]
     merged, parts = postproc.merge(paths), [postproc.open_results(path) for path in paths]
@@ -245,6 +254,71 @@ def test_merged_replicas_are_side_by_side_and_errors_made_anew(folder: Path) -> 
     twice = postproc.merge([*paths, folder / "map.h5"])
     assert twice["chi"].dims == ("point", "replica")  # not all combinations are there
     assert len(postproc.table(twice)) == 2 + 6
+
+
+def test_merged_points_of_a_precision_have_one_state_and_one_error(tmp_path: Path) -> None:
+    """Of one file those of the file; of two the scatter of all replicas, and two states stay."""
+    paths = [results_of(tmp_path / f"{seed}.h5", scan={"threshold": [1, 3, 5], "replicas": 16},
+                        particles={"number": 50, "seed": seed}, run={"duration": 50.0},
+                        precision={"chi_replica_error": 0.02, "largest_replicas": 20}, output=BARE)
+             for seed in (1, 2)]  # fmt: skip
+    for path, states in zip(paths, ([2, 1, 0], [0, 1, 1]), strict=True):
+        with edited(path) as file:
+            file["point_status"][:] = states
+            file["chi_replica_error"][0] = np.nan if states[0] == 2 else 1.0
+    one, alone, both = (postproc.open_results(paths[0]), postproc.merge(paths[:1]),
+                        postproc.merge(paths))  # fmt: skip
+    for name in ("point_status", "chi_replica_error", "chi_spread"):
+        assert alone[name].dims == ("threshold",)
+        assert alone[name].values == pytest.approx(one[name].values, nan_ok=True)
+        assert both[name].attrs["long_name"] == one[name].attrs["long_name"]
+    assert both["point_status"].values.tolist() == [2, 1, 3]
+    spread = postproc.mean_error(both["chi"])["error"].values
+    assert both["chi_replica_error"].values == pytest.approx([np.nan, *spread[1:]], nan_ok=True)
+    shown = postproc.table(both)
+    assert shown["replicas"].tolist() == both["chi"].count("replica").values.tolist()
+    assert shown["chi_error"].values == pytest.approx(both["chi_replica_error"], nan_ok=True)
+
+
+def test_what_is_complete_in_one_of_merged_files_is_in_the_results(tmp_path: Path) -> None:
+    """Whatever their order, as the file of a part of a run and that of the whole."""
+    whole = results_of(tmp_path / "whole.h5", scan={"threshold": [2, 4]}, output=BARE, **SMALL)
+    part = Path(shutil.copy(whole, tmp_path / "part.h5"))
+    with edited(part) as file:
+        file["task_status"][:] = [[0, 2], [1, 0]]
+    chi = postproc.open_results(whole)["chi"]
+    for paths in ([whole, part], [part, whole]):
+        merged = postproc.merge(paths)
+        assert merged.attrs["tasks"] == "4 of 4 tasks are complete"
+        assert np.array_equal(merged["chi"].values, chi.values)
+
+
+def test_whole_numbers_of_merged_results_are_those_of_the_files(tmp_path: Path) -> None:
+    """Seeds to the last digit, where points have unequal numbers of replicas."""
+    paths = [results_of(tmp_path / f"{count}.h5", scan={"threshold": count, "replicas": count},
+                        output=BARE, **SMALL) for count in (1, 2)]  # fmt: skip
+    seeds = [postproc.open_results(path)["seed"].values.ravel().tolist() for path in paths]
+    merged = postproc.merge(paths)
+    found = merged["seed"].values[merged["task"] >= 0]
+    assert found.tolist() == [*seeds[0], *seeds[1]]
+    assert merged["seed"].attrs
+    assert {merged[name].dtype.kind for name in ("number", "urn1_number", "threshold")} == {"i"}
+
+
+@pytest.mark.parametrize("fraction", [0.5, 0.9])
+def test_a_start_that_is_rounded_to_whole_numbers_is_one_at_each_number(
+    tmp_path: Path, fraction: float
+) -> None:
+    """As half of an odd N; two starts of one N are two."""
+    path = results_of(tmp_path / "n.h5", scan={"number": [1, 2, 3, 25, 100]}, output=BARE,
+                      particles={"number": None, "urn1_fraction": fraction}, run=SHORT)  # fmt: skip
+    data = postproc.open_results(path)
+    assert points_of(path)["start"].values == pytest.approx([2.0 * fraction - 1.0] * 5)
+    for draw in (plot.curves, plot.characteristic):
+        assert len(draw(data, ax=Figure().add_subplot())) > 0
+    path = results_of(tmp_path / "two.h5", scan={"urn1_fraction": [0.5, 0.501]}, output=BARE,
+                      run=SHORT)  # fmt: skip
+    assert points_of(path)["start"].values == pytest.approx([0.0, 0.002])
 
 
 def test_what_differs_in_merged_runs_is_said(folder: Path, tmp_path: Path) -> None:
@@ -279,6 +353,12 @@ def test_merged_results_have_their_series_each_to_its_end(tmp_path: Path) -> Non
         shown = merged["urn1_number"].isel(replica=at).values.ravel()
         assert shown[: own.size].tolist() == own.tolist()
         assert np.isnan(shown[own.size :]).all()
+    both = postproc.merge([postproc.merge(paths[:1]), paths[1]])
+    with edited(paths[1]) as file:
+        file.attrs["created"] = np.bytes_("2000-01-01T00:00:00Z")
+    assert both.isel(replica=[0]).series["urn1_number"].notnull().any()
+    with pytest.raises(InputError, match=r"90\.h5: has changed since it was opened"):
+        both.series  # noqa: B018 (it reads)
     for part in (short[["chi"]], short.mean("replica")):
         with pytest.raises(InputError, match="or of points of it"):
             part.series  # noqa: B018 (it reads)
