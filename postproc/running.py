@@ -10,7 +10,6 @@ import signal
 import subprocess
 import sys
 import tempfile
-import threading
 from collections.abc import Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
@@ -37,7 +36,6 @@ if TYPE_CHECKING:
 
     Groups = Mapping[str, Mapping[str, object]]
 
-ENDING = (signal.SIGTERM, signal.SIGHUP)
 STOPPED = 3  # exit code of a run that was stopped early
 # Places of the program: made in a checkout, or installed beside the Python side.
 BUILT = Path(__file__).resolve().parents[1] / "build/bin/battery"
@@ -230,7 +228,7 @@ def _answer(
     """Return the JSON output of the program; `start` is before it on the command line."""
     battery = find_program(program)
     place = path_of("." if folder is None else folder, "folder")
-    with _ended_by_signals(), _made_folder(place), _work_folder(place) as work:
+    with _made_folder(place), _work_folder(place) as work:
         path, json_file = _namelist_file(namelist, battery, work), work / "answer.json"
         words = [*words, "--json", str(json_file), "--", str(path)]
         code, output, errors = _launch([*start, str(battery), *words], place, quiet)
@@ -244,31 +242,6 @@ def _answer(
         if not json_file.exists():
             raise InputError(f"{' '.join(start)}: ended well, but started no battery")
         return json.loads(json_file.read_text(encoding="utf-8", errors="surrogateescape"))
-
-
-@contextmanager
-def _ended_by_signals() -> Iterator[None]:
-    """Leave the block as by an exception at a signal that ends Python, and then end by it.
-
-    Signals that Python code handles are left to it; only the main thread hears any.
-    """
-    heard = []
-
-    def leave(number: int, _: object) -> None:
-        heard.append(number)
-        raise SystemExit(128 + number)
-
-    main = threading.current_thread() is threading.main_thread()
-    ending = [one for one in ENDING if main and signal.getsignal(one) is signal.SIG_DFL]
-    for one in ending:
-        signal.signal(one, leave)
-    try:
-        yield
-    finally:
-        for one in ending:
-            signal.signal(one, signal.SIG_DFL)
-        for number in heard[:1]:
-            signal.raise_signal(number)
 
 
 @contextmanager

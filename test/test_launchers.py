@@ -73,25 +73,6 @@ def test_a_run_ends_with_its_python(tmp_path: Path, ranks: int) -> None:
             os.kill(process, signal.SIGKILL)
 
 
-@pytest.mark.parametrize("ends", [signal.SIGTERM, signal.SIGHUP])
-def test_python_that_is_ended_leaves_the_state_of_a_run_alone(
-    tmp_path: Path, ends: signal.Signals
-) -> None:
-    """Its own folder is gone, and it ends by that signal."""
-    words = [sys.executable, "-c", ENDLESS, "1", str(tmp_path)]
-    python = subprocess.Popen(words, cwd=ROOT, stdout=subprocess.DEVNULL)
-    try:
-        assert comes_true((tmp_path / "battery.h5.tasks").exists)
-        assert len([*tmp_path.glob(".battery-*")]) == 1
-        python.send_signal(ends)
-        assert python.wait(60.0) == -ends
-    finally:
-        python.kill()
-    left = sorted(one.name for one in tmp_path.iterdir())
-    assert left == ["battery.h5.tasks"]
-    assert comes_true(lambda: not working_in(tmp_path))
-
-
 def comes_true(condition: Callable[[], bool]) -> bool:
     end = time.monotonic() + 60.0
     while not condition() and time.monotonic() < end:
