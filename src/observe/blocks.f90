@@ -24,6 +24,7 @@
 !> A run that is no longer than its memory has nearly all of its variance in the slowest two
 !> components: then no error is given.
 module battery_blocks
+  use, intrinsic :: ieee_arithmetic, only: ieee_is_nan
   use battery_kinds, only: wp, dp, pi
   use battery_quantities, only: unknown_real
   use battery_archive, only: archive_type
@@ -149,6 +150,7 @@ contains
     ! products are fused with sums, and so on the length of the processor's vectors.
     squares = (values - sum(values)/n)**2
     error = sqrt(sum(squares)/(real(n, dp)*real(n - 1, dp)))
+    if (ieee_is_nan(error)) return
     if (error < rounding*maxval(abs(values))) error = 0.0_dp
   end function error_of_mean
 
