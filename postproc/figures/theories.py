@@ -42,6 +42,7 @@ def add_models(options: argparse.ArgumentParser) -> None:
         "--model",
         metavar="NAME",
         nargs="+",
+        action="extend",
         choices=sorted(MODELS),
         help=f"theories to draw: {', '.join(MODELS)} (default: window and direction, which takes "
         f"two seconds a point; window and renewal for more than {FEW} points, and polygons)",
