@@ -118,26 +118,39 @@ def test_folder_where_nothing_can_be_made(tmp_path: Path) -> None:
     assert "/proc/out.h5" in ended.stderr
 
 
+def run_without_rights(*words: str, folder: Path) -> subprocess.CompletedProcess[str]:
+    """Run the program as one who may read and write only what the rights of files say."""
+    # Root may read and write anything, unless it gives up that right.
+    humble = ["setpriv", "--bounding-set=-dac_override,-dac_read_search"]
+    return program.finish(
+        subprocess.Popen(
+            [*(humble if os.getuid() == 0 else []), *program.command_of(*words)],
+            cwd=folder, env=program.ALONE, stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE, text=True,
+        )
+    )  # fmt: skip
+
+
+def test_a_folder_of_tasks_that_may_not_be_read_is_named(tmp_path: Path) -> None:
+    """It may have results: they are not computed again."""
+    write(tmp_path, output={"file": "'out.h5'"})
+    tasks = tmp_path / "out.h5.tasks"
+    tasks.mkdir(mode=0o300)
+    for option in ("--quiet", "--check", "--partial"):
+        ended = run_without_rights(option, "case.nml", folder=tmp_path)
+        assert ended.returncode == 1
+        assert "out.h5.tasks: may not be read" in ended.stderr
+    tasks.chmod(0o700)
+    assert not any(tasks.iterdir())
+
+
 def test_folder_without_rights(tmp_path: Path) -> None:
     """A folder that cannot be written to is found out before the run."""
     folder = tmp_path / "closed"
     folder.mkdir()
     folder.chmod(0o555)
     write(tmp_path, "bad.nml", output={"file": "'closed/out.h5'"})
-    # Root may write anywhere, unless it gives up that right.
-    humble = ["setpriv", "--bounding-set=-dac_override,-dac_read_search"]
-    if os.getuid() != 0:
-        humble = []
-    ended = program.finish(
-        program.subprocess.Popen(
-            [*humble, *program.command_of("bad.nml")],
-            cwd=tmp_path,
-            env=program.ALONE,
-            stdout=program.subprocess.PIPE,
-            stderr=program.subprocess.PIPE,
-            text=True,
-        )
-    )
+    ended = run_without_rights("bad.nml", folder=tmp_path)
     assert ended.returncode == 2, ended.stderr
     assert "&output file = 'closed/out.h5'" in ended.stderr
     assert "cannot be written" in ended.stderr

@@ -321,6 +321,19 @@ def test_journal_makes_damaged_results_anew(stopped: Path, tmp_path: Path, damag
     assert not (folder / "out.h5.tasks").exists()
 
 
+def test_results_that_were_damaged_before_are_not_replaced(stopped: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "run"
+    shutil.copytree(stopped, folder)
+    flip(folder / "out.h5", 80_000)
+    (folder / "out.h5.damaged").write_text("of an earlier run")
+    before = (folder / "out.h5").read_bytes()
+    ended = run("case.nml", folder=folder)
+    assert ended.returncode == 2
+    assert "out.h5.damaged: is there already; move it away" in ended.stderr
+    assert (folder / "out.h5").read_bytes() == before
+    assert (folder / "out.h5.damaged").read_text() == "of an earlier run"
+
+
 def test_journal_goes_only_when_the_digest_is_right(stopped: Path, tmp_path: Path) -> None:
     """A journal beside complete results is removed if they are whole, used if they are not."""
     folder = tmp_path / "run"

@@ -19,7 +19,7 @@ def main(arguments: list[str] | None = None) -> int:
     options = cli.parser("table", __doc__)
     options.add_argument("files", metavar="FILE.h5", type=Path, nargs="+")
     options.add_argument(
-        "--theory", metavar="NAME", nargs="+", choices=tuple(MODELS), default=[],
+        "--theory", metavar="NAME", nargs="+", action="extend", choices=tuple(MODELS), default=[],
         help=f"theories beside the runs: {', '.join(MODELS)}",
     )  # fmt: skip
     given = options.parse_args(arguments)

@@ -98,7 +98,7 @@ contains
     journal%names = journal_files(folder)
     if (is_folder(folder) .and. .not. is_readable(folder)) call fatal_error(error, folder &
       //': may not be read')
-    if (.not. allocated(error)) call check_journal(journal, error)
+    if (.not. allocated(error)) call check_files(folder, journal%names, error)
     if (.not. allocated(error)) call read_single_record(folder//'/plan', record, &
       journal%has_plan, error)
     files = 0
@@ -357,20 +357,19 @@ contains
   end function states_in
 
   !> An error if a folder has the name of a file of the journal.
-  subroutine check_journal(journal, error)
-    !> From `find_journal`.
-    type(journal_type), intent(in) :: journal
+  subroutine check_files(folder, names, error)
+    !> Folder of the journal, and the names of its files.
+    character(len=*), intent(in) :: folder
+    type(string_type), intent(in) :: names(:)
     type(error_type), allocatable, intent(out) :: error
     integer :: k
 
-    do k = 1, size(journal%names)
-      associate (path => journal%folder//'/'//journal%names(k)%text)
-        if (is_folder(path)) call fatal_error(error, path &
-          //': is a folder where a file should be; remove it')
-      end associate
+    do k = 1, size(names)
+      if (is_folder(folder//'/'//names(k)%text)) call fatal_error(error, folder//'/' &
+        //names(k)%text//': is a folder where a file should be; remove it')
       if (allocated(error)) return
     end do
-  end subroutine check_journal
+  end subroutine check_files
 
   !> Names of all journal files in the folder, in any order.
   function journal_files(folder) result(names)
@@ -390,6 +389,8 @@ contains
 
     if (.not. is_folder(folder)) return
     names = journal_files(folder)
+    call check_files(folder, names, error)
+    if (allocated(error)) return
     do k = 1, size(names)
       if (names(k)%text /= 'plan') call remove_file(folder//'/'//names(k)%text, error)
       if (allocated(error)) return

@@ -160,17 +160,15 @@ contains
     end associate
   end function pending_tasks
 
-  !> Removes the results file and the journal.
+  !> Removes the results file, and the journal whether or not it can be read.
   subroutine discard_output(plan, error)
     type(plan_type), intent(in) :: plan
     !> They are something else, or cannot be removed.
     type(error_type), allocatable, intent(out) :: error
-    type(journal_type) :: journal
 
-    call find_journal(journal, journal_folder(plan), error)
-    if (.not. allocated(error)) call check_discardable(plan%file, error)
+    call check_discardable(plan%file, error)
+    if (.not. allocated(error)) call remove_journal(journal_folder(plan), error)
     if (.not. allocated(error)) call remove_file(plan%file, error)
-    if (.not. allocated(error)) call remove_journal(journal%folder, error)
   end subroutine discard_output
 
   !> Determines the progress of an ensemble from its results file and its journal; writes nothing.

@@ -167,7 +167,7 @@ contains
     call append_record(name, record, size_before, error)
   end subroutine write_single_record
 
-  !> Reads the first record of a file; `found` is false if it is missing or invalid.
+  !> Reads the first valid record of a file; `found` is false if there is none.
   subroutine read_single_record(name, record, found, error)
     !> Path of the file.
     character(len=*), intent(in) :: name
