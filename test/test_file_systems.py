@@ -67,3 +67,13 @@ def test_a_failing_disk_is_an_error_for_a_folder_too(lacking: str, tmp_path: Pat
     ended = run("--quiet", "case.nml", folder=tmp_path, environment=failing)
     assert ended.returncode == 1
     assert "Input/output error" in ended.stderr
+
+
+def test_results_that_cannot_be_read_back_leave_the_journal(lacking: str, tmp_path: Path) -> None:
+    write_case(CASE, tmp_path, scan={"replicas": 2})
+    failing = {"LD_PRELOAD": lacking, "NO_READ_OF": "/out.h5.part", "NO_READ": str(errno.EIO)}
+    ended = run("--quiet", "case.nml", folder=tmp_path, environment=failing)
+    assert ended.returncode == 1
+    assert "out.h5.part cannot be read to its end: Input/output error" in ended.stderr
+    assert sorted(path.name for path in tmp_path.glob("out.h5*")) == ["out.h5.tasks"]
+    assert "going on: 2 of 2" in run("case.nml", folder=tmp_path).stdout

@@ -135,11 +135,13 @@ def test_a_folder_of_tasks_that_may_not_be_read_is_named(tmp_path: Path) -> None
     """It may have results: they are not computed again."""
     write(tmp_path, output={"file": "'out.h5'"})
     tasks = tmp_path / "out.h5.tasks"
-    tasks.mkdir(mode=0o300)
-    for option in ("--quiet", "--check", "--partial"):
-        ended = run_without_rights(option, "case.nml", folder=tmp_path)
-        assert ended.returncode == 1
-        assert "out.h5.tasks: may not be read" in ended.stderr
+    tasks.mkdir()
+    for mode in (0o300, 0o600):
+        tasks.chmod(mode)
+        for option in ("--quiet", "--check", "--partial"):
+            ended = run_without_rights(option, "case.nml", folder=tmp_path)
+            assert ended.returncode == 1
+            assert "out.h5.tasks: may not be read" in ended.stderr
     tasks.chmod(0o700)
     assert not any(tasks.iterdir())
 

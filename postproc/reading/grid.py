@@ -208,10 +208,10 @@ def merge(parts: Iterable[str | Path | xr.Dataset]) -> xr.Dataset:
     xarray.Dataset
         On the grid of the parameters that differ, or with the dimension `point` if the points are
         not all combinations of these. `..._spread` and `..._replica_error` are those of all
-        replicas; `point_status` is two_states where a part says so, undecided where parts differ
-        otherwise. A run that is in two parts, by its seed, is in it once, complete if it is so in
-        one. The attribute `differs` says what else differs: keys of the namelists, versions of the
-        program.
+        replicas; `point_status` is two_states where a part says so, else that of the parts that
+        decided, undecided where these differ. A run that is in two parts, by its seed, is in it
+        once, complete if it is so in one. The attribute `differs` says what else differs: keys of
+        the namelists, versions of the program.
 
     Raises
     ------
@@ -263,7 +263,8 @@ def _of_all_replicas(data: xr.Dataset) -> xr.Dataset:
         found = found.where((decided != TWO_STATES).all("replica"), TWO_STATES)
         data["point_status"] = found.astype(int)
     for name in [str(name) for name in data]:
-        for ending in (one for one in OVER_REPLICAS if name.endswith(one)):
+        for ending in (one for one in OVER_REPLICAS
+                       if name.endswith(one) and name.removesuffix(one) in data):  # fmt: skip
             apart = ending != "_spread" and data.get("point_status") == TWO_STATES
             found = mean_error(data[name.removesuffix(ending)])["error"]
             data[name] = found.where(np.logical_not(apart))

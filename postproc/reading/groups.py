@@ -56,7 +56,7 @@ def group_of(data: xr.Dataset, group: str) -> xr.Dataset:
     for at in np.unique(file[places >= 0]).astype(int):
         path, mine = files[at], np.flatnonzero(file == at)
         with ResultsFile(Path(path)) as opened, opened.damage_reported():
-            if str(opened.attributes.get("created", "")) != created(data)[at]:
+            if created(data)[at] not in ("", str(opened.attributes.get("created", ""))):
                 raise InputError(f"{path}: has changed since it was opened")
             if not opened.has(group):
                 raise InputError(f"{path}: has no {group}{HINTS.get(group, '')}")
@@ -78,8 +78,10 @@ def group_of(data: xr.Dataset, group: str) -> xr.Dataset:
 
 
 def created(data: xr.Dataset) -> list[str]:
-    """Return when each of the files of a dataset was made."""
-    return [str(one) for one in np.ravel(data.attrs.get("created", ""))]
+    """Return when each of the files of a dataset was made, as far as the dataset says so."""
+    return [
+        str(one) for one in np.ravel(data.attrs.get("created", [""] * np.size(data.attrs["files"])))
+    ]
 
 
 # `data.series` and the others.

@@ -12,6 +12,7 @@ import sys
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import pandas as pd
 import xarray as xr
 
 from postproc.cli import InputError
@@ -244,7 +245,10 @@ def _starts(points: xr.Dataset) -> Floats:
     low, high, found = start - 1.0 / number, start + 1.0 / number, start.copy()
     left = np.isfinite(start)
     while left.any():
-        one = left & (low < high[left].min() - ROUNDING)
+        one = left & (low < high[left].min() + ROUNDING)
+        # The next start of the same N is another one.
+        least = pd.Series(start[one]).groupby(number[one]).transform("min")
+        one[one] = start[one] == least
         found[one] = start[one][number[one].argmax()]
         left &= ~one
     return found

@@ -305,15 +305,18 @@ def test_whole_numbers_of_merged_results_are_those_of_the_files(tmp_path: Path) 
     assert {merged[name].dtype.kind for name in ("number", "urn1_number", "threshold")} == {"i"}
 
 
-@pytest.mark.parametrize("fraction", [0.5, 0.9])
+@pytest.mark.parametrize(
+    ("fraction", "numbers"),
+    [(0.5, [1, 2, 3, 25, 100]), (0.9, [1, 2, 3, 25, 100]), (0.7, [155, 204, 355, 1000])],
+)
 def test_a_start_that_is_rounded_to_whole_numbers_is_one_at_each_number(
-    tmp_path: Path, fraction: float
+    tmp_path: Path, fraction: float, numbers: list[int]
 ) -> None:
     """As half of an odd N; two starts of one N are two."""
-    path = results_of(tmp_path / "n.h5", scan={"number": [1, 2, 3, 25, 100]}, output=BARE,
+    path = results_of(tmp_path / "n.h5", scan={"number": numbers}, output=BARE,
                       particles={"number": None, "urn1_fraction": fraction}, run=SHORT)  # fmt: skip
     data = postproc.open_results(path)
-    assert points_of(path)["start"].values == pytest.approx([2.0 * fraction - 1.0] * 5)
+    assert points_of(path)["start"].values == pytest.approx([2.0 * fraction - 1.0] * len(numbers))
     for draw in (plot.curves, plot.characteristic):
         assert len(draw(data, ax=Figure().add_subplot())) > 0
     path = results_of(tmp_path / "two.h5", scan={"urn1_fraction": [0.5, 0.501]}, output=BARE,

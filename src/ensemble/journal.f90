@@ -96,7 +96,7 @@ contains
 
     journal%folder = folder
     journal%names = journal_files(folder)
-    if (is_folder(folder) .and. .not. is_readable(folder)) call fatal_error(error, folder &
+    if (.not. is_readable(folder) .and. is_folder(folder)) call fatal_error(error, folder &
       //': may not be read')
     if (.not. allocated(error)) call check_files(folder, journal%names, error)
     if (.not. allocated(error)) call read_single_record(folder//'/plan', record, &
@@ -289,7 +289,7 @@ contains
   end subroutine serialize_state
 
   !> Reads the newest valid state of a task, if it has the format of this program.
-  subroutine read_state(journal, task, simulation, cpu_seconds, found, error)
+  subroutine read_state(journal, task, simulation, cpu_seconds, found, failure, error)
     type(journal_type), intent(inout) :: journal
     type(task_type), intent(in) :: task
     type(simulation_type), intent(out) :: simulation
@@ -297,7 +297,8 @@ contains
     real(dp), intent(out) :: cpu_seconds
     !> Whether there is a valid state of the task.
     logical, intent(out) :: found
-    type(error_type), allocatable, intent(out) :: error
+    !> The simulation cannot go on from it; a file cannot be read.
+    type(error_type), allocatable, intent(out) :: failure, error
     type(record_type) :: state(2)
     integer :: k, newer
 
@@ -314,10 +315,10 @@ contains
     found = journal%generation > 0
     if (.not. found) return
     state(3 - newer) = record_type()
-    call serialize_state(simulation, task%setup, cpu_seconds, state(newer)%archive_type, error)
+    call serialize_state(simulation, task%setup, cpu_seconds, state(newer)%archive_type, failure)
     if (.not. state(newer)%failed()) return
     ! A state of another format stays until this task saves a state.
-    deallocate (error)
+    deallocate (failure)
     found = .false.
     cpu_seconds = 0.0_dp
   end subroutine read_state

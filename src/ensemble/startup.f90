@@ -102,24 +102,14 @@ contains
         do at = 1, merge(0, size(remarks), quiet)
           call print_line('remark: '//remarks(at)%text)
         end do
-        if (progress%is_damaged) call keep_damaged_file()
+        ! Somebody may want to save what the journal lacks.
+        if (progress%is_damaged) call publish_file(plan%file, damaged_file(plan), error)
+        if (progress%is_damaged) sources%old%stamp = file_stamp_type()
         if (.not. allocated(error)) call begin_journal(sources%journal_type, plan%text, &
           plan%initial_fingerprint, communicator%size, error)
         call order_tasks(plan, communicator%size, pending)
       end if
     end subroutine begin_on_rank0
-
-    !> Renames a damaged results file, of which somebody may want to save what the journal lacks.
-    subroutine keep_damaged_file()
-
-      if (file_exists(damaged_file(plan))) then
-        call fatal_error(error, damaged_file(plan)//': is there already; move it away', &
-          exit_bad_input)
-      else
-        call publish_file(plan%file, damaged_file(plan), error)
-        sources%old%stamp = file_stamp_type()
-      end if
-    end subroutine keep_damaged_file
 
   end subroutine find_pending_tasks
 
@@ -200,12 +190,13 @@ contains
     end if
     found = sources%has_plan .or. progress%finished > 0
     if (allocated(damage)) then
-      if (.not. found) then
-        call move_alloc(damage, error)
-        return
-      end if
-      message = plan%file//' is damaged: it is kept as '//damaged_file(plan)//', and written ' &
-        //'anew from '//journal_folder(plan)//new_line_character
+      if (.not. found) call fatal_error(error, damage%message//'; there is no journal to write ' &
+        //'it anew from: remove the file, or compute it again with --overwrite')
+      if (found .and. file_exists(damaged_file(plan))) call fatal_error(error, &
+        damaged_file(plan)//': is there already; move it away', exit_bad_input)
+      if (allocated(error)) return
+      message = plan%file//' is damaged: the run keeps it as '//damaged_file(plan) &
+        //', and writes it anew from '//journal_folder(plan)//new_line_character
     end if
     progress%is_damaged = allocated(damage)
     progress%pending = pending_tasks(plan, results)
@@ -282,8 +273,6 @@ contains
         //program_version//'; name another output file, or discard it with --overwrite', &
         exit_bad_input)
     else if (error%code == exit_failure) then
-      error%message = error%message//'; there is no journal to write it anew from: ' &
-        //'remove the file, or compute it again with --overwrite'
       call move_alloc(error, damage)
     end if
   end subroutine inspect_results_file
@@ -359,7 +348,7 @@ contains
     if (.not. allocated(error)) call collect_results(plan, sources, results, error)
     if (.not. allocated(error)) then
       if (all(results%task_status /= task_complete)) call fatal_error(error, plan%file &
-        //': no task is finished yet', exit_bad_input)
+        //': no task is finished yet'//damage_text(), exit_bad_input)
     end if
     if (.not. allocated(error)) then
       ! Another process may write the same file at the same time.
@@ -369,9 +358,20 @@ contains
         utc_now(), results, error)
       if (.not. allocated(error)) call publish_file(unique, partial%file, error)
       message = partial%file//': has '//to_text(count(results%task_status == task_complete)) &
-        //' of '//to_text(task_count(plan))//' tasks'
+        //' of '//to_text(task_count(plan))//' tasks'//damage_text()
     end if
     call close_sources(sources)
+
+  contains
+
+    !> Text for a results file that is damaged, whose tasks are not known.
+    pure function damage_text() result(text)
+      character(len=:), allocatable :: text
+
+      text = ''
+      if (allocated(damage)) text = ' ('//damage%message//')'
+    end function damage_text
+
   end subroutine write_partial_results
 
   !> Inspects the journal, which must be of this input, or of one that this input extends; if its

@@ -154,7 +154,8 @@ contains
     start_seconds = wall_seconds()
     start_date = utc_seconds()
     cpu_at_start = cpu_seconds()
-    call resume_or_begin_task(task, file_particles, journal, simulation, cpu_before, failure)
+    call resume_or_begin_task(task, file_particles, journal, simulation, cpu_before, failure, error)
+    if (allocated(error)) return
     reported = 0
     if (.not. allocated(failure)) reported = simulation%observer%collisions
     monitor%next_checkpoint = wall_seconds() + monitor%checkpoint_interval
@@ -219,26 +220,28 @@ contains
   end subroutine advance_some_windows
 
   !> Continues a task from its saved state if there is one, else begins it.
-  subroutine resume_or_begin_task(task, file_particles, journal, simulation, cpu_before, error)
+  subroutine resume_or_begin_task(task, file_particles, journal, simulation, cpu_before, failure, &
+    error)
     type(task_type), intent(in) :: task
     type(particles_type), intent(in) :: file_particles
     type(journal_type), intent(inout) :: journal
     type(simulation_type), intent(out) :: simulation
     real(dp), intent(out) :: cpu_before
-    type(error_type), allocatable, intent(out) :: error
+    !> Error of the task; of the journal.
+    type(error_type), allocatable, intent(out) :: failure, error
     type(particles_type) :: particles
     logical :: resumed
 
     cpu_before = 0.0_dp
     call check_memory(bytes_per_particle(task%setup%engine, &
       any(task%setup%table%urn%truncates_passages))*task%number, to_text(task%number) &
-      //' particles', error)
-    if (allocated(error)) return
-    call read_state(journal, task, simulation, cpu_before, resumed, error)
-    if (resumed .or. allocated(error)) return
-    call initial_particles(task, file_particles, particles, error)
-    if (allocated(error)) return
-    call begin_simulation(simulation, task%setup, particles, error)
+      //' particles', failure)
+    if (allocated(failure)) return
+    call read_state(journal, task, simulation, cpu_before, resumed, failure, error)
+    if (resumed .or. allocated(failure) .or. allocated(error)) return
+    call initial_particles(task, file_particles, particles, failure)
+    if (allocated(failure)) return
+    call begin_simulation(simulation, task%setup, particles, failure)
   end subroutine resume_or_begin_task
 
 end module battery_task_loop

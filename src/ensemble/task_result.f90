@@ -87,8 +87,10 @@ contains
     type(particles_type), intent(in) :: particles
     real(dp) :: states(size(particles%x), 4)
 
-    states = real(reshape([particles%x, particles%y, particles%ux, particles%uy], shape(states)), &
-      dp)
+    states(:, 1) = real(particles%x, dp)
+    states(:, 2) = real(particles%y, dp)
+    states(:, 3) = real(particles%ux, dp)
+    states(:, 4) = real(particles%uy, dp)
   end function states_of
 
   !> Result of a failed task, with the reason.

@@ -93,9 +93,14 @@ int battery_real_folder(const char *path, char *folder, int capacity) {
   return slash == folder ? 1 : (int)(slash - folder);
 }
 
-/* Whether a path names anything; whether this process may read it, or write to it. */
+/* Whether a path names anything; whether this process may read it (of a folder, and what is in it), or
+   write to it. */
 int battery_exists(const char *path) { return access(path, F_OK) == 0; }
-int battery_may_read(const char *path) { return access(path, R_OK) == 0; }
+int battery_may_read(const char *path) {
+  struct stat found;
+  int is_folder = stat(path, &found) == 0 && S_ISDIR(found.st_mode);
+  return access(path, is_folder ? R_OK | X_OK : R_OK) == 0;
+}
 int battery_may_write(const char *path) { return access(path, W_OK) == 0; }
 
 /* Whether this process may have so many files open at the same time; raises its limit if that is allowed. */

@@ -9,7 +9,6 @@ module battery_outline_checks
   use battery_polygon, only: upright
   use battery_keys, only: key_radius, key_width
   use battery_plan, only: plan_type, point_type, refuse_value, refuse_key, is_scanned, corners_of
-  use battery_settings, only: is_given
   use battery_text, only: to_text
   implicit none (type, external)
   private
@@ -227,9 +226,7 @@ contains
     if (plan%urn_shape /= 'polygon') return
     do urn = 1, merge(1, 2, plan%shape == 'urn')
       key = trim(key_of(urn))
-      ! Else it is the mirror image of urn 1.
-      if (urn == 2 .and. .not. (is_given(plan%settings, 'table', 'urn2_vertices') .or. &
-        abs(point%urn_radius(1) - point%urn_radius(2)) > 0.0_wp)) cycle
+      if (urn == 2 .and. .not. urns_differ(plan, point)) cycle
       associate (corner => corners_of(plan, point, urn))
         n = size(corner, 2)
         do channel = 1, merge(1, 2, plan%shape == 'urn')
@@ -246,6 +243,17 @@ contains
       end associate
     end do
   end subroutine check_outline_at
+
+  !> Whether urn 2 is not the mirror image of urn 1.
+  pure function urns_differ(plan, point) result(other)
+    type(plan_type), intent(in) :: plan
+    type(point_type), intent(in) :: point
+    logical :: other
+
+    other = any(shape(corners_of(plan, point, 1)) /= shape(corners_of(plan, point, 2)))
+    if (.not. other) other = any(abs(corners_of(plan, point, 1) - corners_of(plan, point, 2)) &
+      > 0.0_wp)
+  end function urns_differ
 
   !> Checks that the part of a polygon beyond its opening stays beside the channel, and does not
   !> reach the channel's middle. Of the corners the farthest is reported, of the sides the first in

@@ -136,7 +136,7 @@ contains
       call fatal_error(error, name//' is open in another program, which may change it; ' &
         //'close it there', exit_bad_input)
     else if (status > 0) then
-      call set_system_error(status, name//' cannot be read to its end, and is kept', error)
+      call set_system_error(status, name//' cannot be read to its end', error)
       error%code = exit_bad_input
     else if (footer == footer_text(content, digits)) then
       return

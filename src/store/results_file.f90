@@ -23,7 +23,7 @@ module battery_results_file
     bytes_per_state, most_numbers
   use battery_build_information, only: program_version
   use battery_checksum_footer, only: check_footer, copy_with_footer
-  use battery_error, only: error_type, fatal_error, exit_bad_input
+  use battery_error, only: error_type, fatal_error, exit_bad_input, exit_failure
   use battery_files, only: file_stamp_type, sync_file, publish_unless_replaced, remove_file
   use battery_hdf5_file, only: hdf5_file_type, open_file, close_file, make_group, check_status, &
     read_text_attribute, write_attribute, write_text_attribute, dataset_type, serialize_dataset, &
@@ -149,7 +149,10 @@ contains
       end do
     end do
     call close_file(file, error)
-    if (.not. allocated(error)) call check_footer(file%name, error)
+    if (.not. allocated(error)) then
+      call check_footer(file%name, error)
+      if (allocated(error)) error%code = exit_failure
+    end if
     if (.not. allocated(error)) call sync_file(file%name, error)
     if (allocated(error)) then
       call remove_file(file%name, other)
