@@ -154,15 +154,15 @@ class Circuit:
         return float(self.transition_line([_both(self.threshold)[0]], theory)[1][0])
 
     def transition_line(
-        self, thresholds: Iterable[int], theory: str = PAPERS
+        self, thresholds: int | Iterable[int], theory: str = PAPERS
     ) -> tuple[Floats, Floats]:
         """Return T and w' of the line on which the homogeneous state becomes stable.
 
         Parameters
         ----------
         thresholds
-            T for which it is computed, whole numbers. `threshold` and `channel2_width` are not
-            used.
+            T for which it is computed, whole numbers, or one. `threshold` and `channel2_width` are
+            not used.
         theory
             As for `eta`.
 
@@ -172,7 +172,7 @@ class Circuit:
             T, and w' of the same shape, NaN where there is no line.
         """
         own, (known,) = self.model(), named(theory)
-        given = list(thresholds)
+        given = list(thresholds) if np.iterable(thresholds) else [thresholds]
         if not all(_is_number(one) and one >= 0 and one == round(one) for one in given):
             raise InputError(
                 f"thresholds = {reprlib.repr(given)}; allowed: whole numbers from 0 up"
@@ -190,7 +190,7 @@ class Circuit:
     def lifetimes(self, theory: str = PAPERS) -> Lifetimes:
         """Return the mean times in which fluctuations end the homogeneous and polarised state.
 
-        In units of length over speed; infinite: a state is never left, NaN: there is no such state.
+        In units of length over speed; infinite: a state is never left, 0: there is no such state.
         """
         own, (known,) = self.model(), named(theory)
         if not own.alike:
@@ -295,7 +295,9 @@ def _is_whole(value: object, least: int) -> bool:
 
 
 def _is_number(value: object) -> bool:
-    return isinstance(value, (int, float, np.number)) and math.isfinite(value)
+    if isinstance(value, bool) or not isinstance(value, (int, float, np.number)):
+        return False
+    return math.isfinite(value)
 
 
 def _is_length(value: object) -> bool:

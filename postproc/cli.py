@@ -9,13 +9,14 @@ import os
 import re
 import sys
 import warnings
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
 from postproc import progress
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Iterator, Sequence
     from types import ModuleType
 
 EXIT_BAD_INPUT = 2
@@ -56,7 +57,12 @@ class InputError(ValueError):
 
 
 class Parser(argparse.ArgumentParser):
-    """Argument parser that ends with one line and exit 2 at an invalid command line."""
+    """Argument parser that ends with one line and exit 2 at an invalid command line.
+
+    Options may stand before, between and after files.
+    """
+
+    parse_args = argparse.ArgumentParser.parse_intermixed_args
 
     def error(self, message: str) -> NoReturn:
         """Print one line and end with exit 2."""
@@ -139,6 +145,26 @@ def file_to_write(path: Path, kind: str) -> Path:
             told = f"is no {kind}, and is not replaced; name another file, or remove it"
             raise InputError(f"{path}: {told}")
     return path
+
+
+@contextmanager
+def replaced(path: Path) -> Iterator[Path]:
+    """Yield the path of a new file, which takes the place of `path` when it is whole.
+
+    A failure leaves what was there, and is an `InputError`. A device is written to as it is.
+    """
+    final = path.resolve()
+    half = final.with_name(f".{final.stem}.{os.getpid()}{final.suffix}")
+    try:
+        if final.is_file() or not final.exists():
+            yield half
+            half.replace(final)
+        else:
+            yield final
+    except OSError as problem:
+        raise InputError(f"cannot write {path}: {problem.strerror or problem}") from problem
+    finally:
+        half.unlink(missing_ok=True)
 
 
 def path_of(value: object, name: str) -> Path:

@@ -28,6 +28,7 @@ from postproc.cli import (
     file_to_write,
     output_folder,
     path_of,
+    replaced,
 )
 from postproc.launcher import own_environment, program_words
 
@@ -119,10 +120,8 @@ def write_namelist(
     namelist.column_width = 100
     text = f"{namelist}\n"
     if place is not None:
-        try:
-            place.write_text(text, encoding="utf-8")
-        except OSError as problem:
-            raise InputError(f"{file}: {problem.strerror}") from problem
+        with replaced(place) as half:
+            half.write_text(text, encoding="utf-8")
     return text
 
 
@@ -356,9 +355,10 @@ def _launch(command: list[str], folder: Path, quiet: bool) -> tuple[int, str, st
                     output.append(line)
                     if not quiet:
                         print(line, end="", flush=True)
-            except BaseException:
+            except BaseException as problem:
                 process.send_signal(signal.SIGUSR1)  # saves the state; mpirun passes it on
-                process.wait()
+                if process.wait() == STOPPED and isinstance(problem, KeyboardInterrupt):
+                    raise KeyboardInterrupt(_reason(STOPPED, "", "")) from None
                 raise
         errors.seek(0)
         return process.returncode, "".join(output), errors.read()

@@ -25,6 +25,7 @@ from support.program import (
     PROGRAM,
     Rank,
     assert_same,
+    call_failing,
     finish,
     has_been_sent,
     hold,
@@ -408,7 +409,11 @@ def stopped_in_the_third_task(process: Popen[str], journal: Path, step: float) -
         sizes.extend(path.stat().st_size for path in journal.glob("rank_0"))
         # In the third task: the results of all have about the size of the first.
         first = next(filter(None, sizes), 0)
-        return len(states) == 2 and first > 0 and round(sizes[-1] / first) == 2
+        if not (len(states) == 2 and first > 0 and round(sizes[-1] / first) == 2):
+            return False
+        # Those of the second task stay until its result is on the disk.
+        times = [path.stat().st_mtime_ns for path in (*states, journal / "rank_0")]
+        return min(times[:2]) > times[2]
 
     return in_steps(process, process.pid, step, both_are_there)
 
@@ -451,7 +456,7 @@ def test_what_cannot_be_read_is_neither_computed_again_nor_replaced(
         shutil.copy(undisturbed, folder)
     (path,) = folder.glob(name)
     before, state = path.read_bytes(), "*" in name
-    away = {"LD_PRELOAD": lacking, "NO_READ_OF": f"/{path.name}", "NO_READ": str(errno.ESTALE)}
+    away = call_failing(lacking, "read", path.name, errno.ESTALE)
     for option in ("--quiet",) if state else ("--quiet", "--check", "--partial"):
         ended = run(option, "case.nml", folder=folder, environment=away)
         assert ended.returncode in (1, 2)

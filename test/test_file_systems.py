@@ -1,18 +1,17 @@
-"""File systems that lack something: locks (NFS, Lustre), or a sync of folders."""
+"""File systems that lack locks (NFS, Lustre), a sync of folders, or for a moment an answer."""
 
 from __future__ import annotations
 
 import errno
 import os
+import shutil
 import subprocess
 import sys
-from typing import TYPE_CHECKING
+from pathlib import Path
 
+import h5py
 import pytest
-from support.program import ROOT, assert_same, run, write_case
-
-if TYPE_CHECKING:
-    from pathlib import Path
+from support.program import ROOT, assert_same, call_failing, run, write_case
 
 ENOTSUPP = 524  # of the kernel, without a name in errno.h
 LACKS = [("NO_FLOCK", number) for number in (errno.ENOLCK, errno.EOPNOTSUPP, ENOTSUPP)]
@@ -70,10 +69,49 @@ def test_a_failing_disk_is_an_error_for_a_folder_too(lacking: str, tmp_path: Pat
 
 
 def test_results_that_cannot_be_read_back_leave_the_journal(lacking: str, tmp_path: Path) -> None:
-    write_case(CASE, tmp_path, scan={"replicas": 2})
-    failing = {"LD_PRELOAD": lacking, "NO_READ_OF": "/out.h5.part", "NO_READ": str(errno.EIO)}
-    ended = run("--quiet", "case.nml", folder=tmp_path, environment=failing)
+    unpublished(tmp_path, lacking)
+    assert "going on: 2 of 2" in run("case.nml", folder=tmp_path).stdout
+
+
+@pytest.mark.parametrize("number", [errno.EIO, errno.ESTALE, errno.EACCES])
+@pytest.mark.parametrize(
+    ("call", "name"),
+    [
+        ("opendir", "out.h5.tasks"), ("readdir", "out.h5.tasks"), ("stat", "out.h5.tasks"),
+        ("stat", "rank_0"), ("access", "rank_0"), ("access", "plan"),
+        ("access", "out.h5"), ("lstat", "out.h5"),
+    ],
+)  # fmt: skip
+def test_an_error_does_not_say_that_a_file_is_missing(
+    lacking: str, tmp_path: Path, call: str, name: str, number: int
+) -> None:
+    """No finished task is computed again: the run ends, or goes on as without the error."""
+    if name == "out.h5":
+        write_case(CASE, tmp_path, scan={"replicas": 2})
+        run("--quiet", "case.nml", folder=tmp_path)
+        write_case(CASE, tmp_path, scan={"replicas": 3})
+    else:
+        unpublished(tmp_path, lacking)
+    whole = shutil.copytree(tmp_path, tmp_path / "whole")
+    run("--quiet", "case.nml", folder=whole)
+    for option in ("--check", "--partial", "--quiet"):
+        for after in (1, 2, 3):
+            away = call_failing(lacking, call, name, number, after)
+            run(option, "case.nml", folder=tmp_path, environment=away)
+    run("--quiet", "case.nml", folder=tmp_path)
+    seconds = []
+    for folder in (whole, tmp_path):
+        with h5py.File(folder / "out.h5") as file:
+            assert set(file["task_status"][()].ravel()) == {0}
+            seconds.append(file["cpu_seconds"][0, :2].tolist())
+    assert seconds[0] == seconds[1]
+
+
+def unpublished(folder: Path, lacking: str) -> None:
+    """Leave a journal with all results in a folder: the results file could not be read back."""
+    write_case(CASE, folder, scan={"replicas": 2})
+    away = call_failing(lacking, "read", "out.h5.part", errno.EIO)
+    ended = run("--quiet", "case.nml", folder=folder, environment=away)
     assert ended.returncode == 1
     assert "out.h5.part cannot be read to its end: Input/output error" in ended.stderr
-    assert sorted(path.name for path in tmp_path.glob("out.h5*")) == ["out.h5.tasks"]
-    assert "going on: 2 of 2" in run("case.nml", folder=tmp_path).stdout
+    assert sorted(path.name for path in folder.glob("out.h5*")) == ["out.h5.tasks"]

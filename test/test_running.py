@@ -255,8 +255,8 @@ def is_interrupted(case: dict[str, dict[str, Any]], folder: Path) -> bool:
             postproc.run(case, folder=folder, quiet=True)
         finally:
             alarm.join()
-    except KeyboardInterrupt:
-        return journal.exists()
+    except KeyboardInterrupt as interrupt:
+        return journal.exists() and "the state is saved" in str(interrupt)
     return False
 
 

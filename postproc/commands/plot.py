@@ -1,6 +1,7 @@
 """Draws results by name, from one results file or several: NAME.png and NAME.pdf.
 
-The names of files begin with that of the (first) results file. Names are what is drawn, or the
+The names of files begin with that of the (first) results file, and end with what was chosen by
+--select, --point, --replica and --snapshot. Names are what is drawn, or the
 labels of the paper's figures:
 
 phase_diagram   maps of chi and polarised current over T and w', a row for each start (numris)
@@ -117,7 +118,9 @@ def main(arguments: list[str] | None = None) -> int:
     style.note(made.axes[0], "; ".join(filter(None, map(remark, found))))
     for points in found:
         say_if_partial(points)
-    style.save(made, given.output, f"{given.files[0].stem}_{given.name}")
+    task = [(key, vars(given)[key]) for key in ("point", "replica", "snapshot")]
+    chosen = [f"{key}={value:g}" for key, value in [*given.select, *task] if value is not None]
+    style.save(made, given.output, "_".join([given.files[0].stem, given.name, *chosen]))
     return 0
 
 

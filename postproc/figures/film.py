@@ -286,7 +286,7 @@ def write(scenes: Scenes, seconds: float, path: Path) -> None:
         mpl.rcParams["animation.ffmpeg_path"] = ffmpeg.get_ffmpeg_exe()
         writer = FFMpegWriter(fps=RATE, codec="libx264", extra_args=ENCODED)
     try:
-        with writer.saving(stage.figure, path, DOTS):
+        with cli.replaced(path) as half, writer.saving(stage.figure, half, DOTS):
             for time in each(times, "frame"):
                 stage.show(float(time), flash_time)
                 writer.grab_frame()

@@ -5,6 +5,7 @@ What makes, changes or writes a picture does it within `settings`, a context and
 
 from __future__ import annotations
 
+import io
 import logging
 from typing import TYPE_CHECKING
 
@@ -15,7 +16,7 @@ from matplotlib.figure import Figure
 from matplotlib.patheffects import Normal, Stroke
 from matplotlib.ticker import MaxNLocator
 
-from postproc.cli import InputError, file_to_write, output_folder
+from postproc.cli import file_to_write, output_folder, replaced
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -143,11 +144,10 @@ def save(made: Figure, folder: Path, name: str) -> list[Path]:
     paths = [
         file_to_write(folder / f"{name}.{kind.lower()}", f"{kind} file") for kind in ("PNG", "PDF")
     ]
-    try:
-        made.savefig(paths[0], dpi=RESOLUTION, metadata={"Software": None})
-        made.savefig(paths[1], metadata={"CreationDate": None})
-    except OSError as problem:
-        raise InputError(f"cannot write to {folder}: {problem.strerror}") from problem
-    for path in paths:
+    for path, about in zip(paths, ("Software", "CreationDate"), strict=True):
+        drawn = io.BytesIO()
+        made.savefig(drawn, format=path.suffix[1:], dpi=RESOLUTION, metadata={about: None})
+        with replaced(path) as half:
+            half.write_bytes(drawn.getbuffer())
         print(path)
     return paths

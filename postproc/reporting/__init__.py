@@ -51,8 +51,6 @@ def report(
     text = page(points, {one.name: one for one in models})
     say_if_partial(points)
     cli.output_folder(path.parent)
-    try:
-        path.write_text(text, encoding="utf-8")
-    except OSError as problem:
-        raise cli.InputError(f"cannot write {path}: {problem.strerror}") from problem
+    with cli.replaced(path) as half:
+        half.write_text(text, encoding="utf-8")
     return path

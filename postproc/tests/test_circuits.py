@@ -55,6 +55,14 @@ def test_two_gates_that_never_reverse_are_alike(theory: str) -> None:
     assert (state.urn2_number, state.kind) == (12.0, "stable")
 
 
+@pytest.mark.parametrize("theory", ["window", "renewal", "direction"])
+@pytest.mark.parametrize("radii", [1.0, (1.0, 2.0)])
+def test_where_nothing_passes_each_number_is_kept(radii: object, theory: str) -> None:
+    circuit = Circuit(number=100, threshold=0, urn_radius=radii, channel2_width=0.0)
+    assert all(one.kind == "neutral" for one in circuit.states(theory))
+    assert circuit.eta([10.0, 50.0, 90.0], theory).tolist() == [0.0, 0.0, 0.0]
+
+
 def test_lines_of_transition_go_through_the_widths() -> None:
     thresholds = [0, 2, 7, 12, 20, 40]
     for theory in ("window", "renewal"):
@@ -68,6 +76,8 @@ def test_lines_of_transition_go_through_the_widths() -> None:
 def test_the_line_of_direction_does_not_depend_on_which_thresholds_are_asked() -> None:
     """Each width is where a small difference between the urns neither grows nor shrinks."""
     _, line = Circuit(number=1000, threshold=2).transition_line([1, 2], "direction")
+    _, last = Circuit(number=1000, threshold=2).transition_line(2, "direction")
+    assert last[0] == pytest.approx(line[1], rel=1e-3)
     assert line == pytest.approx([2.130e-4, 1.3725e-3], rel=2e-3)
     alone = Circuit(number=1000, threshold=2).transition_width("direction")
     assert alone == pytest.approx(line[1], rel=2e-4)
@@ -123,6 +133,8 @@ def test_what_is_not_allowed_is_named_with_what_is(given: dict[str, Any], messag
         Circuit(number=1000, threshold=7).states(age=-1)
     with pytest.raises(InputError, match=r"thresholds = \[2, 1.5\]; allowed: whole numbers"):
         Circuit(number=1000, threshold=7).transition_line([2, 1.5])
+    with pytest.raises(InputError, match="thresholds = "):
+        Circuit(number=1000, threshold=7).transition_line([True])
 
 
 def test_eta_is_drawn_into_given_axes() -> None:

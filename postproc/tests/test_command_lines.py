@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import resource
 import subprocess
 import sys
 from pathlib import Path
@@ -168,6 +169,30 @@ def test_output_on_a_full_device(words: list[str]) -> None:
     with Path("/dev/full").open("w", encoding="utf-8") as full:
         ended = theory_to(full, words)
     assert (ended.returncode, ended.stderr) == (2, "error: No space left on device\n")
+
+
+@pytest.mark.parametrize(
+    ("words", "name"),
+    [(["plot", "flows"], "whole_flows.png"), (["report"], "whole.html"),
+     (["film", "--gif"], "whole_film.gif")],
+)  # fmt: skip
+def test_a_file_that_cannot_be_written_whole_leaves_what_was_there(
+    files: Path, words: list[str], name: str, tmp_path: Path
+) -> None:
+    """A disk that is full in between is one line; nothing that is cut stays."""
+    command = [sys.executable, "-m", "postproc", *words, str(files / "whole.h5")]
+    command += ["--output", str(tmp_path)]
+    first = subprocess.run(command, cwd=ROOT, capture_output=True, check=False, timeout=120)
+    assert first.returncode == 0, first.stderr
+    before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
+    most = len(before[name]) - 1
+    ended = subprocess.run(
+        command, cwd=ROOT, capture_output=True, text=True, check=False, timeout=120,
+        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (most, most)),
+    )  # fmt: skip
+    assert ended.returncode == 2
+    assert ended.stderr.splitlines()[-1].endswith(f"{name}: File too large")
+    assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before
 
 
 @pytest.mark.parametrize("words", [["--number=100", "--threshold=3"], ["--help"]])

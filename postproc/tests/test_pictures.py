@@ -46,7 +46,7 @@ def test_pictures_are_written(command: str, run_file: Path, tmp_path: Path) -> N
     folder = tmp_path / "new" / "folder"
     words = [command, str(run_file), "--point", "0", "--theory", "window", "renewal"]
     assert call("plot", [*words, "--output", str(folder)]) == 0
-    name = f"run_{command}"
+    name = f"run_{command}_point=0"
     assert sorted(path.name for path in folder.iterdir()) == [f"{name}.pdf", f"{name}.png"]
     drawn, paper = ((folder / f"{name}.{kind}").read_bytes() for kind in ("png", "pdf"))
     assert drawn[:5] == b"\x89PNG\r"

@@ -94,6 +94,12 @@ class Circuit:
         return one, replace(one, urn_radius=radius, threshold=threshold, outline=outline)
 
     @property
+    def closed(self) -> bool:
+        """Whether nothing passes: there is no channel 2, and both gates reverse all particles."""
+        shut = all(np.all(np.equal(side.threshold, 0)) for side in self.sides)
+        return shut and bool(np.all(np.equal(self.channel2_width, 0.0)))
+
+    @property
     def alike(self) -> bool:
         """Whether both urns and both gates are equal."""
         return not self.unlike

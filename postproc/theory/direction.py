@@ -366,7 +366,7 @@ def homogeneous_kind(circuit: Circuit) -> str:
 
     For unequal urns or gates: of the state that is nearest to it.
     """
-    if float(circuit.channel2_width) == 0.0 and float(circuit.threshold) == 0.0:
+    if circuit.closed:
         return "neutral"
     if circuit.alike:
         return "stable" if growth(circuit) <= 0.0 else "unstable"

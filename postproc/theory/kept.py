@@ -14,6 +14,7 @@ from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from postproc.cli import InputError, replaced
 from postproc.progress import doing
 
 if TYPE_CHECKING:
@@ -49,11 +50,10 @@ def kept(question: str, circuit: Circuit, compute: Callable[[], object]) -> obje
         found = compute()
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        half = path.with_suffix(f".{os.getpid()}")
         text = json.dumps({"asked": key, "digest": _digest(found), "found": found})
-        half.write_text(text, encoding="utf-8")
-        half.replace(path)
-    except OSError:
+        with replaced(path) as half:
+            half.write_text(text, encoding="utf-8")
+    except (OSError, InputError):
         pass
     return found
 

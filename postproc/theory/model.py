@@ -151,7 +151,8 @@ class Model:
 
     def solve(self, circuit: Circuit) -> list[State]:
         """Return all states with N2 > N/2, computed without the cache."""
-        return self.theory_of(circuit).states(self.of(circuit))
+        own = self.of(circuit)
+        return [] if own.closed else self.theory_of(circuit).states(own)
 
     def solve_stable(self, circuit: Circuit) -> list[State]:
         """Return those of `solve` that are stable."""
@@ -217,6 +218,8 @@ class Model:
             return np.full(second.shape, math.nan)
         if self.mixed:
             return eta(self.of(circuit), second)
+        if circuit.closed:
+            return np.zeros(second.shape)
         places, sent = self.theory.outflows(self.of(circuit))
         # the outflow of each urn is smooth and positive; their difference has peaks in between
         one, two = np.exp(between(places, sent, second))
@@ -261,6 +264,10 @@ class Model:
         label = f"line of transition, {self.label}, threshold"
         if self.mixed:
             return _mixed_line(own, whole, label)
+        if whole.size == 1:  # most widths are not needed where it is stable without channel 2
+            closed = replace(own, threshold=int(whole[0]), channel2_width=0.0)
+            if self._stability(closed, np.zeros(1))[0] > 0.0:
+                return whole.astype(float), np.full(1, math.nan)
         _, mixed = _mixed_line(replace(circuit, gate=RENEWAL), whole, label)
         most = float(np.nanmax(mixed, initial=0.0))
         most = max(WIDER * most, 0.5 * float(circuit.channel1_width))

@@ -17,7 +17,7 @@ module battery_journal
   use battery_text, only: string_type, to_text, is_one_of
   use battery_clocks, only: wall_seconds
   use battery_files, only: make_folder, sync_file, remove_file, publish_file, file_exists, &
-    files_matching, is_readable
+    find_files
   use battery_lock_file, only: lock_type, check_lock
   use battery_record_file, only: record_type, append_record, write_single_record, &
     read_single_record
@@ -60,6 +60,10 @@ module battery_journal
   !> Suffixes of the files of a state, which are written in turn.
   character(len=*), parameter :: generations(2) = ['.a', '.b']
 
+  !> Names of all files of a journal, as a pattern of a shell.
+  character(len=*), parameter :: journal_names = &
+    '@(rank_+([0-9])|task_'//repeat('[0-9A-F]', 16)//'.[ab]|plan.new|plan)'
+
 contains
 
   !> Name of the rank file with a number, of which `next_result` reads the records.
@@ -95,10 +99,7 @@ contains
     integer :: files
 
     journal%folder = folder
-    journal%names = journal_files(folder)
-    if (.not. is_readable(folder) .and. is_folder(folder)) call fatal_error(error, folder &
-      //': may not be read')
-    if (.not. allocated(error)) call check_files(folder, journal%names, error)
+    call list_files(folder, journal%names, error)
     if (.not. allocated(error)) call read_single_record(folder//'/plan', record, &
       journal%has_plan, error)
     files = 0
@@ -357,28 +358,22 @@ contains
     end do
   end function states_in
 
-  !> An error if a folder has the name of a file of the journal.
-  subroutine check_files(folder, names, error)
-    !> Folder of the journal, and the names of its files.
+  !> Lists all journal files in the folder, in any order.
+  subroutine list_files(folder, names, error)
+    !> Folder of the journal, which need not be there.
     character(len=*), intent(in) :: folder
-    type(string_type), intent(in) :: names(:)
+    type(string_type), allocatable, intent(out) :: names(:)
+    !> It cannot be read, or a folder has the name of a file.
     type(error_type), allocatable, intent(out) :: error
     integer :: k
 
+    call find_files(folder, journal_names, names, error)
     do k = 1, size(names)
       if (is_folder(folder//'/'//names(k)%text)) call fatal_error(error, folder//'/' &
         //names(k)%text//': is a folder where a file should be; remove it')
       if (allocated(error)) return
     end do
-  end subroutine check_files
-
-  !> Names of all journal files in the folder, in any order.
-  function journal_files(folder) result(names)
-    character(len=*), intent(in) :: folder
-    type(string_type), allocatable :: names(:)
-
-    names = files_matching(folder, '@(rank_*|task_*.[ab]|plan.new|plan)')
-  end function journal_files
+  end subroutine list_files
 
   !> Removes the journal with all its files, the plan last. A folder with any other file stays.
   subroutine remove_journal(folder, error)
@@ -389,8 +384,7 @@ contains
     integer :: k
 
     if (.not. is_folder(folder)) return
-    names = journal_files(folder)
-    call check_files(folder, names, error)
+    call list_files(folder, names, error)
     if (allocated(error)) return
     do k = 1, size(names)
       if (names(k)%text /= 'plan') call remove_file(folder//'/'//names(k)%text, error)
@@ -398,7 +392,8 @@ contains
     end do
     call remove_file(folder//'/plan', error)
     if (allocated(error)) return
-    if (size(files_matching(folder, '*')) == 0) call remove_file(folder, error)
+    call find_files(folder, '*', names, error)
+    if (.not. allocated(error) .and. size(names) == 0) call remove_file(folder, error)
   end subroutine remove_journal
 
 end module battery_journal

@@ -71,7 +71,10 @@ contains
     type(results_type), intent(out) :: results
     type(error_type), allocatable, intent(out) :: error
 
-    if (.not. has_stamp(plan%file, sources%old%stamp)) call close_results(sources%old)
+    if (.not. has_stamp(plan%file, sources%old%stamp)) then
+      call close_results(sources%old)
+      sources%old%stamp = file_stamp_type()
+    end if
     call collect_results(plan, sources, results, error)
     if (.not. allocated(error)) call write_results_of(plan, sources, plan%file, &
       sources%old%stamp, start_date, results, error)

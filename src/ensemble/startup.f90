@@ -327,7 +327,7 @@ contains
     type(sources_type) :: sources
     type(results_type) :: results
     type(results_file_type) :: file
-    type(error_type), allocatable :: damage
+    type(error_type), allocatable :: damage, ignored
     character(len=:), allocatable :: unique
     logical :: complete
 
@@ -357,6 +357,7 @@ contains
       if (.not. allocated(error)) call write_results_of(plan, sources, unique, file_stamp_type(), &
         utc_now(), results, error)
       if (.not. allocated(error)) call publish_file(unique, partial%file, error)
+      if (allocated(error)) call remove_file(unique, ignored)
       message = partial%file//': has '//to_text(count(results%task_status == task_complete)) &
         //' of '//to_text(task_count(plan))//' tasks'//damage_text()
     end if

@@ -28,12 +28,15 @@ int battery_is_disk_error(void) {
   return errno == EIO || errno == EFBIG || errno == ENOSPC || errno == EDQUOT;
 }
 
+/* Whether the last error says that nothing has the name; after any other error that is not known. */
+static int is_missing(void) { return errno == ENOENT || errno == ENOTDIR || errno == ENAMETOOLONG; }
+
 /* Removes a file, a link or an empty folder; a missing one is no error. */
 int battery_remove(const char *path) {
   return remove(path) == 0 || errno == ENOENT || errno == ENOTDIR ? 0 : errno;
 }
 
-/* Kind of object that a path names, links followed: 0 none, 1 a file, 2 a folder, 3 another. */
+/* Kind of object that a path names, links followed: 0 none, or not known, 1 a file, 2 a folder, 3 another. */
 int battery_kind_of(const char *path) {
   struct stat found;
   if (stat(path, &found) != 0) return 0;
@@ -93,14 +96,8 @@ int battery_real_folder(const char *path, char *folder, int capacity) {
   return slash == folder ? 1 : (int)(slash - folder);
 }
 
-/* Whether a path names anything; whether this process may read it (of a folder, and what is in it), or
-   write to it. */
-int battery_exists(const char *path) { return access(path, F_OK) == 0; }
-int battery_may_read(const char *path) {
-  struct stat found;
-  int is_folder = stat(path, &found) == 0 && S_ISDIR(found.st_mode);
-  return access(path, is_folder ? R_OK | X_OK : R_OK) == 0;
-}
+/* Whether a path names anything, as far as is known; whether this process may write to it. */
+int battery_exists(const char *path) { return access(path, F_OK) == 0 || !is_missing(); }
 int battery_may_write(const char *path) { return access(path, W_OK) == 0; }
 
 /* Whether this process may have so many files open at the same time; raises its limit if that is allowed. */
@@ -157,6 +154,7 @@ int battery_has_stamp(const char *path, const int64_t seen[5]) {
   struct stat found;
   int64_t now[5] = {0};
   if (lstat(path, &found) == 0) identify(&found, now);
+  else if (!is_missing()) return 1;
   return memcmp(now, seen, sizeof now) == 0;
 }
 
@@ -169,8 +167,11 @@ int battery_put_in_place(const char *old, const char *new, const int64_t seen[5]
   /* It is opened, since NFS and sshfs answer `lstat` from what they knew some seconds ago; `open`
      makes them ask the server. */
   int descriptor = open(new, O_RDONLY | O_NOFOLLOW | O_NONBLOCK | O_CLOEXEC);
-  if ((descriptor < 0 ? lstat(new, &found) : fstat(descriptor, &found)) == 0) identify(&found, now);
+  int status = (descriptor < 0 ? lstat(new, &found) : fstat(descriptor, &found)) == 0 ? 0 : errno;
+  int is_known = status == 0 || is_missing();
   if (descriptor >= 0) close(descriptor);
+  if (!is_known) return status;
+  if (status == 0) identify(&found, now);
   if (memcmp(now, nothing, sizeof now) != 0) {
     if (memcmp(now, seen, sizeof now) != 0) return -1;
 #ifdef RENAME_NOREPLACE
@@ -268,14 +269,20 @@ int battery_write_parts(const char *path, int64_t at, const CFI_cdesc_t *first, 
   return close(descriptor) == 0 || status != 0 ? status : errno;
 }
 
-/* The next name in a folder that matches a pattern of a shell; NULL at the end, or if there is no such
-   folder. `*folder` is NULL at first: the folder is opened then, and closed at the end. */
-const char *battery_next_like(DIR **folder, const char *path, const char *pattern) {
-  if (*folder == NULL) *folder = opendir(path);
-  if (*folder == NULL) return NULL;
+/* The next name in a folder that matches a pattern of a shell; NULL at the end, if there is no such
+   folder, or after an error, whose number is in `status`. `*folder` is NULL at first: the folder is
+   opened then, and closed at the end. */
+const char *battery_next_like(DIR **folder, const char *path, const char *pattern, int *status) {
   struct dirent *entry;
-  while ((entry = readdir(*folder)) != NULL)
+  *status = 0;
+  if (*folder == NULL) *folder = opendir(path);
+  if (*folder == NULL) {
+    *status = is_missing() ? 0 : errno;
+    return NULL;
+  }
+  while (errno = 0, (entry = readdir(*folder)) != NULL)
     if (fnmatch(pattern, entry->d_name, FNM_PERIOD | FNM_NOESCAPE | FNM_EXTMATCH) == 0) return entry->d_name;
+  *status = errno;
   closedir(*folder);
   return NULL;
 }

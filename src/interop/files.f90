@@ -9,8 +9,7 @@ module battery_files
   use battery_text, only: string_type
   implicit none (type, external)
   private
-  public :: file_exists, is_readable, is_writable, is_disk_error, files_matching
-  public :: may_open
+  public :: file_exists, is_writable, is_disk_error, find_files, may_open
   public :: sync_file, remove_file, make_folder, publish_file, write_parts
   public :: file_stamp_type, has_stamp, publish_unless_replaced
 
@@ -20,7 +19,6 @@ module battery_files
   end type file_stamp_type
 
   procedure(number_of_path), bind(c, name='battery_exists') :: c_exists
-  procedure(number_of_path), bind(c, name='battery_may_read') :: c_may_read
   procedure(number_of_path), bind(c, name='battery_may_write') :: c_may_write
   procedure(number_of_path), bind(c, name='battery_remove') :: c_remove
   procedure(number_of_path), bind(c, name='battery_make_folder') :: c_make_folder
@@ -29,11 +27,13 @@ module battery_files
   procedure(returns_number), bind(c, name='battery_is_disk_error') :: c_is_disk_error
 
   interface
-    type(c_ptr) function c_next_like(folder, path, pattern) bind(c, name='battery_next_like')
-      import :: c_char, c_ptr
+    type(c_ptr) function c_next_like(folder, path, pattern, status) &
+        bind(c, name='battery_next_like')
+      import :: c_char, c_int, c_ptr
       implicit none (type, external)
       type(c_ptr), intent(inout) :: folder
       character(kind=c_char), intent(in) :: path(*), pattern(*)
+      integer(c_int), intent(out) :: status
     end function c_next_like
 
     !> Whether this process may have so many files open at the same time; its limit is raised if
@@ -70,21 +70,14 @@ module battery_files
 
 contains
 
-  !> Whether there is a file or folder of that name.
+  !> Whether there is a file or folder of that name. It is missing only if the system says so: an
+  !> error of the system, of a disk that is away for a moment, is no answer.
   logical function file_exists(path) result(yes)
     !> Links are followed.
     character(len=*), intent(in) :: path
 
     yes = c_exists(path//c_null_char) /= 0
   end function file_exists
-
-  !> Whether this process may read the file or folder.
-  logical function is_readable(path) result(yes)
-    !> Links are followed.
-    character(len=*), intent(in) :: path
-
-    yes = c_may_read(path//c_null_char) /= 0
-  end function is_readable
 
   !> Whether this process may write to the file or folder.
   logical function is_writable(path) result(yes)
@@ -202,21 +195,23 @@ contains
     yes = c_is_disk_error() /= 0
   end function is_disk_error
 
-  !> Names, without the folder, of the entries of a folder that match a pattern of a shell, with
-  !> `*`, `?` and `@(one|other)`, in any order; none if there is no such folder.
-  function files_matching(folder, pattern) result(names)
+  !> Finds the names, without the folder, of the entries of a folder that match a pattern of a
+  !> shell, with `*`, `?` and `@(one|other)`, in any order; none if there is no such folder.
+  subroutine find_files(folder, pattern, names, error)
     !> Folder to look in, and pattern of the names.
     character(len=*), intent(in) :: folder, pattern
-    type(string_type), allocatable :: names(:)
+    type(string_type), allocatable, intent(out) :: names(:)
+    !> The folder cannot be read.
+    type(error_type), allocatable, intent(out) :: error
     type(string_type), allocatable :: more(:)
     type(c_ptr) :: open_folder, name
-    integer :: found
+    integer :: found, status
 
     allocate (names(16))
     found = 0
     open_folder = c_null_ptr
     do
-      name = c_next_like(open_folder, folder//c_null_char, pattern//c_null_char)
+      name = c_next_like(open_folder, folder//c_null_char, pattern//c_null_char, status)
       if (.not. c_associated(name)) exit
       if (found == size(names)) then
         allocate (more(2*found))
@@ -227,6 +222,7 @@ contains
       names(found)%text = c_text_at(name)
     end do
     names = names(:found)
-  end function files_matching
+    call set_system_error(status, folder//': cannot be read, and is kept', error)
+  end subroutine find_files
 
 end module battery_files

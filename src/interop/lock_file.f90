@@ -18,7 +18,7 @@ module battery_lock_file
   use battery_c_shapes, only: number_of_path_and_text
   use battery_kinds, only: dp
   use battery_error, only: error_type, fatal_error, exit_bad_input, exit_failure, exit_stopped_early
-  use battery_files, only: is_disk_error, files_matching
+  use battery_files, only: is_disk_error, find_files
   use battery_paths, only: system_message, folder_of
   use battery_clocks, only: wall_seconds, sleep_for
   use battery_signals, only: stop_requested
@@ -106,7 +106,8 @@ contains
       case (taken)
         ! sshfs remembers what a file was for 20 s, and asks anew where the folder has changed: the
         ! lock file is new in it.
-        seen = files_matching(folder_of(file), '*')
+        call find_files(folder_of(file), '*', seen, error)
+        if (allocated(error)) deallocate (error)
         return
       case (held, unknown)
         if (wall_seconds() > last_attempt) then

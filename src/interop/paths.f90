@@ -7,12 +7,12 @@ module battery_paths
   use battery_error, only: error_type, fatal_error, exit_bad_input
   implicit none (type, external)
   private
-  public :: is_file, is_folder, is_pipe_or_device, same_file, folder_of
+  public :: is_folder, is_pipe_or_device, same_file, folder_of
   public :: real_folder_of, follow_links
   public :: system_message, c_text_at, set_system_error
 
   !> Kinds of objects that a path names.
-  integer(c_int), parameter :: a_file = 1, a_folder = 2, something_else = 3
+  integer(c_int), parameter :: a_folder = 2, something_else = 3
 
   procedure(number_of_path), bind(c, name='battery_kind_of') :: c_kind_of
   procedure(number_of_paths), bind(c, name='battery_same_file') :: c_same_file
@@ -24,14 +24,6 @@ module battery_paths
   procedure(size_of_address), bind(c, name='strlen') :: c_strlen
 
 contains
-
-  !> Whether a path names a regular file.
-  logical function is_file(path) result(yes)
-    !> Links are followed.
-    character(len=*), intent(in) :: path
-
-    yes = kind_of(path) == a_file
-  end function is_file
 
   !> Whether a path names a folder.
   logical function is_folder(path) result(yes)
@@ -49,7 +41,7 @@ contains
     yes = kind_of(path) == something_else
   end function is_pipe_or_device
 
-  !> Kind of object that a path names: `a_file`, `a_folder`, `something_else`, or 0: none.
+  !> Kind of object that a path names: `a_folder`, `something_else`, 1: a file, or 0: none.
   integer(c_int) function kind_of(path)
     character(len=*), intent(in) :: path
 

@@ -12,7 +12,7 @@ module battery_checksum_footer
   use, intrinsic :: iso_c_binding, only: c_char, c_int, c_int8_t, c_int64_t, c_null_char
   use battery_kinds, only: int8, int64
   use battery_error, only: error_type, fatal_error, exit_bad_input, exit_failure
-  use battery_files, only: is_readable, write_parts, file_stamp_type
+  use battery_files, only: file_exists, write_parts, file_stamp_type
   use battery_foreign_bytes, only: is_results_file
   use battery_file_text, only: read_file
   use battery_paths, only: is_folder, set_system_error
@@ -118,11 +118,7 @@ contains
     integer :: status
 
     if (present(lacks_footer)) lacks_footer = .false.
-    if (is_folder(name)) then
-      call fatal_error(error, name//' is a folder'//leave_it, exit_bad_input)
-    else if (.not. is_readable(name)) then
-      call fatal_error(error, name//' may not be read'//leave_it, exit_bad_input)
-    end if
+    if (is_folder(name)) call fatal_error(error, name//' is a folder'//leave_it, exit_bad_input)
     if (allocated(error)) return
     allocate (character(len=beginning) :: first)
     bytes = 0
@@ -168,9 +164,14 @@ contains
     integer(int64) :: bytes
     integer :: unit, status
 
+    if (.not. file_exists(name)) return
     open (newunit=unit, file=name, access='stream', form='unformatted', action='read', &
       status='old', iostat=status)
-    if (status /= 0) return
+    if (status /= 0) then
+      call fatal_error(error, name//' cannot be read, and is not discarded'//leave_it, &
+        exit_bad_input)
+      return
+    end if
     inquire (unit, size=bytes)
     allocate (character(len=min(bytes, int(beginning, int64))) :: first)
     last = ''
@@ -178,9 +179,9 @@ contains
     if (status == 0 .and. bytes > footer_length) &
       read (unit, pos=bytes - footer_length + 1, iostat=status) last
     close (unit)
-    if (status == 0 .and. .not. (may_be_results(first, bytes) .or. index(last, first_line) == 1)) &
-      call fatal_error(error, name//' is not a results file, ' &
-      //'and is not discarded'//leave_it, exit_bad_input)
+    if (status == 0 .and. (may_be_results(first, bytes) .or. index(last, first_line) == 1)) return
+    call fatal_error(error, name//trim(merge(' is not a results file', ' cannot be read       ', &
+      status == 0))//', and is not discarded'//leave_it, exit_bad_input)
   end subroutine check_discardable
 
   !> Whether a file without a footer may be what is left of a results file: an HDF5 file that is cut

@@ -7,9 +7,9 @@ module battery_record_file
   use battery_kinds, only: int64
   use battery_archive, only: archive_type
   use battery_error, only: error_type, fatal_error
-  use battery_files, only: write_parts
+  use battery_files, only: write_parts, file_exists
   use battery_fingerprint, only: fingerprint_start, mix_word
-  use battery_paths, only: is_file
+  use battery_paths, only: is_pipe_or_device
   implicit none (type, external)
   private
   public :: record_type, append_record, write_single_record, read_single_record
@@ -73,13 +73,13 @@ contains
     integer :: status
     character(len=message_length) :: message
 
-    if (reader%is_open .or. .not. is_file(name)) return
+    if (reader%is_open .or. .not. file_exists(name) .or. is_pipe_or_device(name)) return
     reader%name = name
     open (newunit=reader%unit, file=name, access='stream', form='unformatted', action='read', &
       status='old', iostat=status, iomsg=message)
     reader%is_open = status == 0
     ! A run that ends may have removed it.
-    if (status /= 0 .and. is_file(name)) call set_error(reader, message)
+    if (status /= 0 .and. file_exists(name)) call set_error(reader, message)
   end subroutine open_records
 
   !> Reads the first valid record from `reader%at` on, and moves `reader%at` to its end.

@@ -1,7 +1,9 @@
-/* A file system that lacks something: loaded before a program (LD_PRELOAD), it makes `flock`, `fsync` of a
-   folder, and `read` of files whose path ends with NO_READ_OF, fail with the error numbers in the variables
-   NO_FLOCK, NO_FOLDER_SYNC and NO_READ. */
+/* A file system that lacks something: loaded before a program (LD_PRELOAD), it makes `flock`, and `fsync` of a
+   folder, fail with the error numbers in the variables NO_FLOCK and NO_FOLDER_SYNC, and the call that NO_CALL
+   names (read, opendir, readdir, stat, lstat, access) with that in NO_CALL_WITH, from the NO_CALL_AFTER-th such
+   call on, of paths that end with NO_CALL_OF. */
 #define _GNU_SOURCE
+#include <dirent.h>
 #include <dlfcn.h>
 #include <errno.h>
 #include <stdio.h>
@@ -10,34 +12,68 @@
 #include <sys/stat.h>
 #include <unistd.h>
 
+#define NEXT(type, name) ((type)dlsym(RTLD_NEXT, name))
+
 static int number_in(const char *name) {
   const char *text = getenv(name);
   return text == NULL ? 0 : atoi(text);
 }
 
+/* Whether a call fails; sets errno then. */
+static int fails(const char *call, const char *path) {
+  static int calls = 0;
+  const char *wanted = getenv("NO_CALL"), *end = getenv("NO_CALL_OF");
+  if (wanted == NULL || end == NULL || strcmp(call, wanted) != 0) return 0;
+  size_t length = strlen(path), most = strlen(end);
+  if (length < most || strcmp(path + length - most, end) != 0) return 0;
+  if (++calls < number_in("NO_CALL_AFTER")) return 0;
+  errno = number_in("NO_CALL_WITH");
+  return 1;
+}
+
+/* Whether a call fails for an open file. */
+static int fails_for(const char *call, int file) {
+  char link[64], path[4096];
+  snprintf(link, sizeof link, "/proc/self/fd/%d", file);
+  ssize_t length = getenv("NO_CALL") == NULL ? -1 : readlink(link, path, sizeof path - 1);
+  if (length < 0) return 0;
+  path[length] = '\0';
+  return fails(call, path);
+}
+
 int flock(int file, int operation) {
   errno = number_in("NO_FLOCK");
-  if (errno != 0) return -1;
-  return ((int (*)(int, int))dlsym(RTLD_NEXT, "flock"))(file, operation);
+  return errno != 0 ? -1 : NEXT(int (*)(int, int), "flock")(file, operation);
 }
 
 int fsync(int file) {
   struct stat found;
   int number = number_in("NO_FOLDER_SYNC");
-  if (number == 0 || fstat(file, &found) != 0 || !S_ISDIR(found.st_mode))
-    return ((int (*)(int))dlsym(RTLD_NEXT, "fsync"))(file);
+  if (number == 0 || fstat(file, &found) != 0 || !S_ISDIR(found.st_mode)) return NEXT(int (*)(int), "fsync")(file);
   errno = number;
   return -1;
 }
 
 ssize_t read(int file, void *bytes, size_t count) {
-  const char *end = getenv("NO_READ_OF");
-  char link[64], path[4096];
-  snprintf(link, sizeof link, "/proc/self/fd/%d", file);
-  ssize_t length = end == NULL ? -1 : readlink(link, path, sizeof path);
-  size_t most = end == NULL ? 0 : strlen(end);
-  if (length < (ssize_t)most || length < 0 || memcmp(path + length - most, end, most) != 0)
-    return ((ssize_t(*)(int, void *, size_t))dlsym(RTLD_NEXT, "read"))(file, bytes, count);
-  errno = number_in("NO_READ");
-  return -1;
+  return fails_for("read", file) ? -1 : NEXT(ssize_t(*)(int, void *, size_t), "read")(file, bytes, count);
+}
+
+DIR *opendir(const char *path) {
+  return fails("opendir", path) ? NULL : NEXT(DIR * (*)(const char *), "opendir")(path);
+}
+
+struct dirent *readdir(DIR *folder) {
+  return fails_for("readdir", dirfd(folder)) ? NULL : NEXT(struct dirent * (*)(DIR *), "readdir")(folder);
+}
+
+int stat(const char *path, struct stat *found) {
+  return fails("stat", path) ? -1 : NEXT(int (*)(const char *, struct stat *), "stat")(path, found);
+}
+
+int lstat(const char *path, struct stat *found) {
+  return fails("lstat", path) ? -1 : NEXT(int (*)(const char *, struct stat *), "lstat")(path, found);
+}
+
+int access(const char *path, int mode) {
+  return fails("access", path) ? -1 : NEXT(int (*)(const char *, int), "access")(path, mode);
 }

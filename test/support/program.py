@@ -152,6 +152,12 @@ def run(
     )
 
 
+def call_failing(lacking: str, call: str, name: str, number: int, after: int = 1) -> dict[str, str]:
+    """Return the variables with which a system call of paths with a name fails (`lacking.c`)."""
+    words = {"": call, "_OF": name, "_WITH": str(number), "_AFTER": str(after)}
+    return {"LD_PRELOAD": lacking, **{f"NO_CALL{end}": word for end, word in words.items()}}
+
+
 def under_way(
     *arguments: str,
     folder: Path,
