@@ -30,6 +30,7 @@ if TYPE_CHECKING:
 
 MARKS = 32  # points of a flow along the axis
 BINS = 80  # steps of the lines of the net currents
+NETS = "net currents"  # of a theory, in a legend
 START = 0.05  # share of the time at the start that is ignored for the range of the axis
 GAP = 0.4  # smallest empty share of the axis that is left out
 FLOW_LOOK = {
@@ -94,7 +95,10 @@ def draw_eta(
 
 
 def explain_eta(axes: Axes) -> None:
-    """Add the discs on eta to a legend."""
+    """Add eta, which is below, and the discs on it to the legend of flows."""
+    for line in axes.lines:
+        if (label := str(line.get_label())).endswith(NETS):
+            line.set_label(f"{label}, and $\\eta$ below")
     look = {"ls": "none", "marker": "o", "mec": style.BLACK, "mew": 0.6, "ms": 3.2}
     axes.plot([], [], mfc=style.GREY, label="stable", **look)
     axes.plot([], [], mfc="white", label="unstable", **look)
@@ -196,7 +200,7 @@ def _draw_levels(axes: Axes, model: Model, levels: dict[str, float]) -> None:
         axes.axhline(level, color=colour, ls=model.dashes, lw=1.0, zorder=0.5)
     for colour, what in (
         (style.GREY, "flows, coloured as their marks"),
-        (style.BLACK, "net currents"),
+        (style.BLACK, NETS),
     ):
         axes.plot([], [], color=colour, ls=model.dashes, lw=1.0, label=f"{model.label}: {what}")
 

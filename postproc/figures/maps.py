@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pandas as pd
+from matplotlib.ticker import MaxNLocator
 
 from postproc import cli
 from postproc.figures import style
@@ -150,6 +151,7 @@ def draw_map(
     mesh = axes.pcolormesh(x, y, np.ma.masked_invalid(shown), **look)
     mesh.set_rasterized(True)
     axes.set(xlabel=labels[0], ylabel=labels[1], xlim=x[[0, -1]], ylim=(max(y[0], 0.0), y[-1]))
+    axes.xaxis.set_major_locator(MaxNLocator(5))
     return mesh
 
 

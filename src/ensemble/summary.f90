@@ -51,6 +51,7 @@ contains
     integer(int64), intent(in) :: collisions
     !> Whether no task is pending; whether to print errors only.
     logical, intent(in) :: all_done, quiet
+    character(len=:), allocatable :: rate
     integer :: done, task
 
     do task = 1, size(results%failure)
@@ -66,9 +67,10 @@ contains
       //' tasks are complete')
     call list_points(results, point_two_states, 'replicas fall into two states')
     call list_points(results, point_not_precise, 'the precision was not reached')
-    call print_line(rate_text(real(collisions, dp)/max(seconds, 1.0e-9_dp))//' collisions/s in ' &
-      //duration_text(seconds)//' on '//count_text(ranks, 'rank')//', busy for '&
-      //to_text(nint(100.0_dp*busy))//' % of the time')
+    rate = rate_text(real(collisions, dp)/max(seconds, 1.0e-9_dp))//' collisions/s in ' &
+      //duration_text(seconds)//' on '//count_text(ranks, 'rank')
+    if (ranks > 1) rate = rate//', busy for '//to_text(nint(100.0_dp*busy))//' % of the time'
+    call print_line(rate)
     if (done > 0) call print_slowest(plan, results)
     if (any(results%counted(:, :, place_of('trapped', counted_quantities())) > 0)) &
       call print_line('some particles are on orbits that never leave: see the dataset trapped')
