@@ -107,6 +107,17 @@ def test_an_error_does_not_say_that_a_file_is_missing(
     assert seconds[0] == seconds[1]
 
 
+def test_overwrite_does_not_go_on_from_a_journal_that_it_cannot_see(
+    lacking: str, tmp_path: Path
+) -> None:
+    unpublished(tmp_path, lacking)
+    away = call_failing(lacking, "stat", "out.h5.tasks", errno.EIO)
+    ended = run("--overwrite", "--quiet", "case.nml", folder=tmp_path, environment=away)
+    assert ended.returncode == 1
+    assert "out.h5.tasks: is not a folder, or cannot be read, and is kept" in ended.stderr
+    assert "going on: 2 of 2" in run("case.nml", folder=tmp_path).stdout
+
+
 def unpublished(folder: Path, lacking: str) -> None:
     """Leave a journal with all results in a folder: the results file could not be read back."""
     write_case(CASE, folder, scan={"replicas": 2})

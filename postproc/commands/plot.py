@@ -89,7 +89,7 @@ def main(arguments: list[str] | None = None) -> int:
     options.add_argument("name", metavar="NAME", choices=sorted([*FIGURES, *LABELS]))
     options.add_argument("files", metavar="FILE.h5", type=Path, nargs="*")
     options.add_argument(
-        "--select", metavar="KEY=VALUE", nargs="+", type=_pair, default=[],
+        "--select", metavar="KEY=VALUE", nargs="+", action="extend", type=_pair, default=[],
         help="only the points with these values of keys that were scanned",
     )  # fmt: skip
     cli.add_task(options)
@@ -119,7 +119,7 @@ def main(arguments: list[str] | None = None) -> int:
     for points in found:
         say_if_partial(points)
     task = [(key, vars(given)[key]) for key in ("point", "replica", "snapshot")]
-    chosen = [f"{key}={value:g}" for key, value in [*given.select, *task] if value is not None]
+    chosen = [f"{key}={value:.15g}" for key, value in [*given.select, *task] if value is not None]
     style.save(made, given.output, "_".join([given.files[0].stem, given.name, *chosen]))
     return 0
 

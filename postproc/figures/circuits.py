@@ -81,7 +81,8 @@ def figure_flows(
     points = few_points(points)
     circuits, starts = points["circuit"].values, starts_of(points)
     count = len(circuits)
-    models = () if any(one.beyond_theory for one in circuits) else models or default(points)
+    beyond = any(one.beyond_theory or one.shape != "circuit" for one in circuits)
+    models = () if beyond else models or default(points)
     made = style.figure(max(3.1 * count, 4.6), 5.4)
     cells = made.add_gridspec(1 + bool(models), count, height_ratios=(2.0, 1.0)[: 1 + bool(models)])
     for at, circuit in enumerate(circuits):

@@ -8,6 +8,7 @@ it cuts it off when a program opens the file for writing.
 from __future__ import annotations
 
 import hashlib
+import os
 import re
 import warnings
 from typing import TYPE_CHECKING
@@ -16,6 +17,7 @@ from postproc.cli import InputError
 
 if TYPE_CHECKING:
     from pathlib import Path
+    from typing import BinaryIO
 
 LENGTH = 512
 FIRST_LINE = "battery results 1"
@@ -43,16 +45,17 @@ def check_seal(path: Path, *, verify: bool = False) -> None:
     path : the file.
     verify : whether to read the whole file, and require its digest.
     """
-    size = path.stat().st_size
-    with path.open("rb") as file:
+    with path.open("rb") as file:  # once: it may be replaced by a longer one meanwhile
+        size = os.fstat(file.fileno()).st_size
         first = file.read(PIECE)
         file.seek(max(size - LENGTH, 0))
         seal = file.read()
+        digest = _digest(file, size - LENGTH) if verify else ""
     found = re.search(rb"\nsha256 ([0-9a-f]{64})\n", seal)
     digits = found[1].decode() if found else ""
     lost = MARK in first and _end_in_hdf5(first) == size
     if seal == seal_of(size - LENGTH, digits):
-        if verify and _digest(path, size - LENGTH) != digits:
+        if verify and digest != digits:
             raise InputError(f"{path}: damaged: its digest is wrong")
     elif seal.startswith(FIRST_LINE.encode()) or REMARK.encode() in seal:
         raise InputError(f"{path}: damaged: the digest at its end is not one of its length")
@@ -71,13 +74,13 @@ def check_seal(path: Path, *, verify: bool = False) -> None:
         raise InputError(f"{path}: not an HDF5 file")
 
 
-def _digest(path: Path, count: int) -> str:
+def _digest(file: BinaryIO, count: int) -> str:
     """Return the SHA-256 digest of the first bytes of a file, in hexadecimal."""
     digest = hashlib.sha256()
-    with path.open("rb") as file:
-        while count and (piece := file.read(min(count, PIECE))):
-            digest.update(piece)
-            count -= len(piece)
+    file.seek(0)
+    while count > 0 and (piece := file.read(min(count, PIECE))):
+        digest.update(piece)
+        count -= len(piece)
     return digest.hexdigest()
 
 

@@ -13,6 +13,8 @@ from matplotlib.figure import Figure
 
 from postproc import Circuit, InputError, circuits
 from postproc.reading import points, residences
+from postproc.theory.models import MODELS
+from postproc.theory.states import State
 
 
 @pytest.mark.parametrize("module", [circuits, points, residences])
@@ -61,6 +63,8 @@ def test_where_nothing_passes_each_number_is_kept(radii: object, theory: str) ->
     circuit = Circuit(number=100, threshold=0, urn_radius=radii, channel2_width=0.0)
     assert all(one.kind == "neutral" for one in circuit.states(theory))
     assert circuit.eta([10.0, 50.0, 90.0], theory).tolist() == [0.0, 0.0, 0.0]
+    reached = MODELS[theory].reached(circuit.model(), 80.0)
+    assert reached == State(80.0, "neutral", 0.6, 0.0)
 
 
 def test_lines_of_transition_go_through_the_widths() -> None:

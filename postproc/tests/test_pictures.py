@@ -16,6 +16,7 @@ import pytest
 import xarray as xr
 from matplotlib.patches import Circle
 
+from postproc import plot
 from postproc.cli import InputError
 from postproc.figures import circuits, currents, film, scene, style, theories
 from postproc.figures.scene import picture_of
@@ -54,6 +55,15 @@ def test_pictures_are_written(command: str, run_file: Path, tmp_path: Path) -> N
     assert b"/FontFile2" in paper  # its text is text
     width = int.from_bytes(drawn[16:20], "big")
     assert width == round((style.PAGE if command == "scene" else 4.6) * style.RESOLUTION)
+
+
+def test_flows_of_the_single_urn_are_drawn_alone(tmp_path: Path) -> None:
+    """Theories have flows of the circuit: its eta is no line of the urn."""
+    points = points_of(results_of(tmp_path / "urn.h5", table={"shape": "urn"}))
+    made = circuits.figure_flows(points, theories.named(["window"]))
+    assert not any("eta" in axes.get_ylabel() for axes in made.axes)
+    with pytest.raises(InputError, match="of the circuit, not of the single urn"):
+        plot.flows(points, ax=made.axes[0], theory="window")
 
 
 def test_currents_show_the_series_the_theory_and_eta(run_file: Path) -> None:

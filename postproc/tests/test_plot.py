@@ -86,7 +86,8 @@ def test_points_that_a_figure_cannot_show_are_named_with_a_way_to_choose(
         words = [name, str(folder / "map.h5"), "--output", str(tmp_path)]
         assert call("plot", words) == 2
         assert "--select threshold=2 or" in capsys.readouterr().err
-        assert call("plot", [*words, "--select", "threshold=2", "channel2_width=0.01"]) == 0
+        one, other = ("--select", "threshold=2"), ("--select", "channel2_width=0.01")
+        assert call("plot", [*words, *one, *other]) == 0
         assert (tmp_path / f"map_{name}_threshold=2_channel2_width=0.01.pdf").exists()
     with pytest.raises(InputError, match="no theory 'widow'"):
         plot.curves(data, ax=Figure().add_subplot(), theory="widow")

@@ -191,6 +191,8 @@ class Model:
         fluctuations lead to the next one.
         """
         half = 0.5 * float(circuit.number)
+        if circuit.closed:  # each number is kept
+            return State(number2, "neutral", abs(number2 - half) / half, 0.0)
         found = list(self.states(circuit))
         if self.of(circuit).alike:
             found.insert(0, State(half, self.homogeneous_kind(circuit), 0.0, 0.0))

@@ -62,7 +62,7 @@ module battery_journal
 
   !> Names of all files of a journal, as a pattern of a shell.
   character(len=*), parameter :: journal_names = &
-    '@(rank_+([0-9])|task_'//repeat('[0-9A-F]', 16)//'.[ab]|plan.new|plan)'
+    '@(rank_@(0|[1-9]*([0-9]))|task_'//repeat('[0-9A-F]', 16)//'.[ab]|plan.new|plan)'
 
 contains
 
@@ -383,7 +383,11 @@ contains
     type(string_type), allocatable :: names(:)
     integer :: k
 
-    if (.not. is_folder(folder)) return
+    if (.not. is_folder(folder)) then
+      if (file_exists(folder)) call fatal_error(error, folder &
+        //': is not a folder, or cannot be read, and is kept')
+      return
+    end if
     call list_files(folder, names, error)
     if (allocated(error)) return
     do k = 1, size(names)

@@ -365,6 +365,8 @@ contains
           end if
           sources%reader(open_file)%at = place%at
           call next_result(sources%reader(open_file), found, at, is_one)
+          call move_alloc(sources%reader(open_file)%error, error)
+          if (allocated(error)) exit
           if (.not. is_one .or. found%task_id /= task%task_id) call fatal_error(error, &
             sources%folder//': the result of task '//to_text(k)//' cannot be read a second time')
         end if

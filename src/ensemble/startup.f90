@@ -336,15 +336,20 @@ contains
     partial%file = plan%file//'.partial.h5'
     call inspect_results_file(partial, file, complete, damage, error)
     call close_results(file)
-    if (allocated(damage) .or. allocated(error)) then
-      call fatal_error(error, partial%file//': is not a partial file of this input, and is not ' &
-        //'replaced; move it away', exit_bad_input)
+    if (.not. allocated(error)) call move_alloc(damage, error)
+    if (allocated(error)) then
+      error%message = partial%file//': is not a partial file of this input, and is not ' &
+        //'replaced; move it away ('//error%message//')'
+      error%code = exit_bad_input
       return
     end if
     call inspect_journal(plan, .true., sources%journal_type, error)
     if (.not. allocated(error)) call open_sources(sources, .true., error)
     if (.not. allocated(error)) call inspect_results_file(plan, sources%old, complete, damage, &
       error)
+    if (.not. allocated(error) .and. complete .and. sources%old%version /= program_version) &
+      call fatal_error(error, plan%file//': is complete, and of version '//sources%old%version &
+      //'; a partial file of '//program_version//' cannot be made from it', exit_bad_input)
     if (.not. allocated(error)) call collect_results(plan, sources, results, error)
     if (.not. allocated(error)) then
       if (all(results%task_status /= task_complete)) call fatal_error(error, plan%file &
@@ -357,7 +362,10 @@ contains
       if (.not. allocated(error)) call write_results_of(plan, sources, unique, file_stamp_type(), &
         utc_now(), results, error)
       if (.not. allocated(error)) call publish_file(unique, partial%file, error)
-      if (allocated(error)) call remove_file(unique, ignored)
+      if (allocated(error)) then
+        call remove_file(unique, ignored)
+        call remove_file(unique//'.part', ignored)
+      end if
       message = partial%file//': has '//to_text(count(results%task_status == task_complete)) &
         //' of '//to_text(task_count(plan))//' tasks'//damage_text()
     end if

@@ -77,7 +77,8 @@ static int remove_of_ended(const char *path, const char *text, char *holder, int
     return errno == ELOOP || errno == EISDIR || errno == ENXIO ? not_a_file : failed;
   }
   int length = battery_read_owner(path, holder, capacity);
-  if (fstat(descriptor, &found) != 0 || !S_ISREG(found.st_mode)) outcome = not_a_file;
+  if (fstat(descriptor, &found) != 0) outcome = failed;
+  else if (!S_ISREG(found.st_mode)) outcome = not_a_file;
   else if (length > 0 && (strlen(holder) != (size_t)length || !is_of_an_owner(holder)))
     outcome = not_a_file;
   /* Another machine may be about to write to an empty file: a network disk may show it empty for many
