@@ -97,9 +97,10 @@ def test_currents_show_the_series_the_theory_and_eta(run_file: Path) -> None:
         expected += [(expected[3] - expected[1]) * np.sign(one)] * 2
         assert levels == pytest.approx(sorted(map(float, expected)), abs=1e-4)
     entries = [text.get_text() for text in made.legends[0].get_texts()]
-    assert [one for one in entries if one.endswith("net currents")] == [
-        "window (the paper's): net currents", "renewal gate: net currents",
-    ]  # fmt: skip
+    assert [one for one in entries if "net currents" in one] == [
+        f"{name}: net currents, and $\\eta$ below"
+        for name in ("window (the paper's)", "renewal gate")
+    ]
     assert balance.get_xlabel() == "$N_2/N$"
     curves = [line.get_data() for line in balance.lines if len(line.get_xdata()) > 2]
     assert len(curves) == 2
