@@ -150,7 +150,12 @@ def test_a_linked_output_replaces_what_it_points_to(tmp_path: Path, there: bool)
     assert "is complete" in run("case.nml", folder=tmp_path).stdout
 
 
-TEMPORARY = ["out.h5.part", "out.h5.tasks/plan.new", "out.h5.tasks/rank_0", "out.h5.tasks/task_1.b"]
+TEMPORARY = [
+    "out.h5.part",
+    "out.h5.tasks/plan.new",
+    "out.h5.tasks/rank_0",
+    f"out.h5.tasks/task_{1:016X}.b",
+]
 
 
 def test_nothing_is_written_through_a_link(tmp_path: Path) -> None:
@@ -277,7 +282,7 @@ def test_names_that_nobody_means_are_refused(tmp_path: Path, key: str, name: str
     assert "begins with a blank" in ended.stderr or "has a control character" in ended.stderr
 
 
-@pytest.mark.parametrize("name", ["plan", "plan.new", "rank_7", "task_1.a"])
+@pytest.mark.parametrize("name", ["plan", "plan.new", "rank_7", f"task_{1:016X}.a"])
 def test_a_folder_in_the_way_is_named(tmp_path: Path, name: str) -> None:
     """One line says what to remove, before anything is computed; then the run begins."""
     write(tmp_path)
