@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from postproc.cli import InputError
 from postproc.figures import circuits, currents, maps, passages
 from postproc.figures import scene as scenes
 from postproc.figures.theories import asked
@@ -156,8 +155,6 @@ def flows(
     need_only(points)
     circuit, (series,) = points["circuit"].values[0], series_of(points, *task)
     (start,) = circuits.starts_of(points)
-    if theory and circuit.shape != "circuit":
-        raise InputError("flows of theories are those of the circuit, not of the single urn")
     return currents.draw_flows(_axes(ax), circuit, series, asked(points, theory), start)
 
 

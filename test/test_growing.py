@@ -195,6 +195,10 @@ def test_results_of_another_version_do_not_grow(tmp_path: Path) -> None:
     content = (tmp_path / "out.h5").read_bytes().split(b"battery results 1")[0]
     seal = seal_of(len(content), hashlib.sha256(content).hexdigest())
     (tmp_path / "out.h5").write_bytes(content + seal)
+    before = listing(tmp_path)
+    ended = run("--partial", "case.nml", folder=tmp_path)
+    assert (ended.returncode, "is complete, and of version 0.0.9" in ended.stderr) == (2, True)
+    assert listing(tmp_path) == before
     write(tmp_path, scan={"replicas": 3})
     before = listing(tmp_path)
     ended = run("case.nml", folder=tmp_path)

@@ -73,7 +73,8 @@ def figure_flows(
 ) -> Figure:
     """Return flows and net currents against time, a panel for each point by T, eta below.
 
-    Of the first replica, or of one task. Circuits beyond the theories are drawn alone.
+    Of the first replica, or of one task. Circuits beyond the theories and the single urn are drawn
+    alone.
     """
     chosen = None
     if task is not None:
@@ -81,8 +82,10 @@ def figure_flows(
     points = few_points(points)
     circuits, starts = points["circuit"].values, starts_of(points)
     count = len(circuits)
-    beyond = any(one.beyond_theory or one.shape != "circuit" for one in circuits)
-    models = () if beyond else models or default(points)
+    if any(one.beyond_theory for one in circuits):
+        models = ()
+    elif all(one.shape == "circuit" for one in circuits):
+        models = models or default(points)
     made = style.figure(max(3.1 * count, 4.6), 5.4)
     cells = made.add_gridspec(1 + bool(models), count, height_ratios=(2.0, 1.0)[: 1 + bool(models)])
     for at, circuit in enumerate(circuits):

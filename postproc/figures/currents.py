@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from matplotlib.ticker import MaxNLocator
 
+from postproc.cli import InputError
 from postproc.figures import style
 from postproc.theory.states import State
 
@@ -124,8 +125,11 @@ def _parts(
 ) -> tuple[list[Binned], list[Binned], list[dict[str, float]]]:
     """Return flows and net currents, `binned`, and those of theories, by name.
 
-    A theory's are those of the state that it reaches from the start, of the final polarity.
+    A theory's are those of the state that it reaches from the start, of the final polarity. Raises
+    `InputError` for theories of the single urn.
     """
+    if models and circuit.shape != "circuit":
+        raise InputError("flows of theories are those of the circuit, not of the single urn")
     reached, number = settled_number2(circuit, series), float(circuit.number)
     levels = []
     for model in models:

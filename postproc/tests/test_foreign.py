@@ -6,7 +6,7 @@ import random
 import re
 import shutil
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import h5py
 import pytest
@@ -14,7 +14,7 @@ from selenium import webdriver
 
 from postproc import open_results
 from postproc.cli import EXIT_BAD_INPUT, InputError
-from postproc.reading import results_file
+from postproc.reading import results_file, seal
 from postproc.reporting import page as report_page
 from postproc.tests.commands import call
 from postproc.tests.runs import edited, results_of
@@ -154,6 +154,23 @@ def test_damage_is_an_error_or_not_noticed_and_verify_notices_all(
         assert call("plot", ["flows", str(path), "--verify"]) == EXIT_BAD_INPUT
     assert len(seen) > 10
     assert all(path.name in one for one in seen)
+
+
+def test_a_file_that_is_replaced_while_it_is_verified_is_whole(
+    ours: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As a run that grows does: the file that was opened is the one that is checked."""
+    path, digest = tmp_path / "grown.h5", seal._digest
+    path.write_bytes(ours.read_bytes())
+    another = results_of(tmp_path / "another.h5", particles={"number": 10})
+
+    def digest_late(*given: Any) -> str:
+        another.replace(path)
+        return digest(*given)
+
+    monkeypatch.setattr(seal, "_digest", digest_late)
+    seal.check_seal(path, verify=True)
+    assert not another.exists()
 
 
 def test_error_lines_have_no_escape_sequences(

@@ -60,10 +60,11 @@ def test_pictures_are_written(command: str, run_file: Path, tmp_path: Path) -> N
 def test_flows_of_the_single_urn_are_drawn_alone(tmp_path: Path) -> None:
     """Theories have flows of the circuit: its eta is no line of the urn."""
     points = points_of(results_of(tmp_path / "urn.h5", table={"shape": "urn"}))
-    made = circuits.figure_flows(points, theories.named(["window"]))
+    made = circuits.figure_flows(points)
     assert not any("eta" in axes.get_ylabel() for axes in made.axes)
     with pytest.raises(InputError, match="of the circuit, not of the single urn"):
         plot.flows(points, ax=made.axes[0], theory="window")
+    assert call("plot", ["flows", str(tmp_path / "urn.h5"), "--theory", "window"]) == 2
 
 
 def test_currents_show_the_series_the_theory_and_eta(run_file: Path) -> None:

@@ -72,6 +72,7 @@ contains
     type(error_type), allocatable, intent(out) :: error
 
     if (.not. has_stamp(plan%file, sources%old%stamp)) then
+      ! What has the name now, if anything, is not replaced by a file without the old results.
       call close_results(sources%old)
       sources%old%stamp = file_stamp_type()
     end if
