@@ -9,7 +9,7 @@
 # and what it asks for besides:
 ##SBATCH --partition=NAME
 ##SBATCH --account=NAME
-#SBATCH --array=0-11
+#SBATCH --array=0-6
 #SBATCH --job-name=battery
 #SBATCH --ntasks=16
 #SBATCH --time=04:00:00
@@ -27,7 +27,7 @@ export OMPI_MCA_osc=^ucx
 # this program has done anything; not with this.
 export PMIX_MCA_gds=hash
 program=build/bin/battery
-namelists=(namelists/one_channel/*.nml)
+namelists=(namelists/paper_*.nml)
 
 case $("$program" --version) in
   *'Open MPI'*) pmi=pmix ;;

@@ -63,10 +63,6 @@ CASES   := phase_diagram phase_diagram_polarised comp05 comp06 comp01 single_urn
            lifetimes_one lifetimes_two lifetimes_long_gate lifetimes_rare_one lifetimes_rare_long_gate
 FIGURES := build/figures/$(if $(filter-out 0,$(FULL)),full,quick)
 SHORTEN := $(if $(filter-out 0,$(FULL)),,s/(collisions *= *[0-9]+)0$$/\1/)
-# Planes of the one-channel model: quick ones have ten values of each key; with fewer collisions they
-# would still be what they were at the start.
-PLANES  := $(notdir $(wildcard namelists/one_channel/*.nml))
-COARSEN := $(if $(filter-out 0,$(FULL)),,s/, (50|46|19)$$/, 10/)
 
 figures: build $(COMMANDS) ## every figure of the paper, quick; FULL=1: at the paper's own length
 	@mkdir -p $(FIGURES)
@@ -74,10 +70,6 @@ figures: build $(COMMANDS) ## every figure of the paper, quick; FULL=1: at the p
 	for case in $(CASES); do
 	  sed -E '$(SHORTEN)' $(CURDIR)/namelists/$$case.nml > $$case.nml
 	  mpirun -n $(RANKS) $(CURDIR)/$(PROGRAM) $$case.nml
-	done
-	for plane in $(PLANES); do
-	  sed -E '$(COARSEN)' $(CURDIR)/namelists/one_channel/$$plane > one_channel_$$plane
-	  mpirun -n $(RANKS) $(CURDIR)/$(PROGRAM) --quiet one_channel_$$plane
 	done
 	cd $(CURDIR)
 	figure() { $(COMMANDS) plot "$$1" "$${@:2}" --output $(FIGURES); }
@@ -88,5 +80,4 @@ figures: build $(COMMANDS) ## every figure of the paper, quick; FULL=1: at the p
 	for name in comp05 comp06 comp01; do figure $$name $(FIGURES)/$$name.h5; done
 	for name in app2 app3 app4; do figure $$name $(FIGURES)/single_urn.h5; done
 	figure lifetimes $(FIGURES)/lifetimes_{one,two,long_gate,rare_one,rare_long_gate}.h5
-	figure one_channel $(FIGURES)/one_channel_*.h5
 	echo "The figures are in $(FIGURES)"

@@ -26,6 +26,7 @@ MORE = {
     "circulation": ("postproc.theory",),
     "experiments": ("postproc.advice.transients", "postproc.theory"),
     "narrow_channels": ("postproc.theory",),
+    "one_channel": ("postproc.theory",),
     "paper_statements": ("postproc.theory",),
 }
 

@@ -69,14 +69,14 @@ def checkout(folder: Path, mpi: str, collisions: int, seed: int = 1) -> Path:
     path = shutil.which(f"mpirun.{mpi}") or "/usr/bin/mpirun"
     mpirun.write_text(f'#!/bin/sh\nexec {path} "$@"\n')
     mpirun.chmod(0o755)
-    (folder / "namelists/one_channel").mkdir(parents=True)
-    for place in ("phase_diagram", "one_channel/a", "one_channel/b"):
+    (folder / "namelists").mkdir()
+    for name in ("phase_diagram", "paper_a", "paper_b"):
         text = program.namelist(
             particles={"number": 100, "seed": seed}, gate={"threshold": 3},
             run={"collisions": collisions}, scan={"replicas": 2},
-            output={"file": f"'{Path(place).name}.h5'"}, limits={"checkpoint_minutes": 0.0005},
+            output={"file": f"'{name}.h5'"}, limits={"checkpoint_minutes": 0.0005},
         )  # fmt: skip
-        (folder / f"namelists/{place}.nml").write_text(text)
+        (folder / f"namelists/{name}.nml").write_text(text)
     return folder
 
 
@@ -300,8 +300,8 @@ def test_programs_of_one_rank_are_told_what_to_type(slurm: Slurm, tmp_path: Path
             assert "phase_diagram.h5: another run has locked it, on node" in line
     # Words that write nothing, and outputs of their own: nothing to complain of.
     for k in range(3):
-        text = (folder / "namelists/one_channel/a.nml").read_text()
-        text = text.replace(str(100 * SHORT), str(SHORT // 10)).replace("a.h5", f"{k}.h5")
+        text = (folder / "namelists/paper_a.nml").read_text()
+        text = text.replace(str(100 * SHORT), str(SHORT // 10)).replace("paper_a.h5", f"{k}.h5")
         (folder / f"{k}.nml").write_text(text)
     words = ["--version", "--help", "--schema", f"--check {namelist}", "$SLURM_PROCID.nml"]
     slurm.ask(*start, "sh", "-c", " && ".join(f"{program_itself} {one}" for one in words),

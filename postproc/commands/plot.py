@@ -10,7 +10,6 @@ relaxation      chi and polarised current against time, mean and band over repli
 curves          polarised current against T/N, or another key, and against chi (comp01)
 characteristic  voltage ln(n2/n1) and power against the net current over a scan, as of w'
 lifetimes       lifetimes of both states against N, from series that begin in them
-one_channel     maps of chi over l, w, r and T without channel 2 (a scan over two of them each)
 scene           the table of one point to scale with the particles of a snapshot
 circuit, urn    the table with its lengths named, no file or one point with snapshots (model, app1)
 urn_current, urn_difference, urn_scaled
@@ -37,7 +36,6 @@ from postproc.figures.circuits import (
     figure_relaxation,
 )
 from postproc.figures.lengths import figure_circuit, figure_urn
-from postproc.figures.one_channel import figure_one_channel
 from postproc.figures.passages import figure_lifetimes
 from postproc.figures.scene import figure_scene
 from postproc.figures.theories import add_models, asked
@@ -65,7 +63,6 @@ FIGURES: dict[str, Callable[..., Figure]] = {
     "curves": figure_curves,
     "characteristic": figure_characteristic,
     "lifetimes": figure_lifetimes,
-    "one_channel": figure_one_channel,
     "scene": figure_scene,
     "circuit": figure_circuit,
     "urn": figure_urn,
@@ -106,27 +103,24 @@ def main(arguments: list[str] | None = None) -> int:
             raise cli.InputError(f"figure {given.name} needs at least one file of results")
         style.save(FIGURES[name](), given.output, given.name)
         return 0
-    files = [[one] for one in given.files] if name == "one_channel" else [given.files]
-    found = [by_point(selected(dataset_of(one, verify=given.verify), dict(given.select)))
-             for one in files]  # fmt: skip
-    for points in map(with_tasks, found):
-        shape = str(points.attrs.get("shape", "circuit"))
-        if (shape == "urn") != name.startswith("urn") and name not in ANY_SHAPE:
-            raise cli.InputError(f"{files_of(points)}: a run of shape '{shape}', not of "
-                                 f"figure {given.name}")  # fmt: skip
-    made = _drawn(name, found, given)
-    style.note(made.axes[0], "; ".join(filter(None, map(remark, found))))
-    for points in found:
-        say_if_partial(points)
+    data = dataset_of(given.files, verify=given.verify)
+    points = with_tasks(by_point(selected(data, dict(given.select))))
+    shape = str(points.attrs.get("shape", "circuit"))
+    if (shape == "urn") != name.startswith("urn") and name not in ANY_SHAPE:
+        raise cli.InputError(f"{files_of(points)}: a run of shape '{shape}', not of "
+                             f"figure {given.name}")  # fmt: skip
+    made = _drawn(name, points, given)
+    style.note(made.axes[0], remark(points))
+    say_if_partial(points)
     task = [(key, vars(given)[key]) for key in ("point", "replica", "snapshot")]
     chosen = [f"{key}={value:.15g}" for key, value in [*given.select, *task] if value is not None]
     style.save(made, given.output, "_".join([given.files[0].stem, given.name, *chosen]))
     return 0
 
 
-def _drawn(name: str, found: list[xr.Dataset], given: argparse.Namespace) -> Figure:
+def _drawn(name: str, points: xr.Dataset, given: argparse.Namespace) -> Figure:
     """Return the figure."""
-    draw, points = FIGURES[name], found[0]
+    draw = FIGURES[name]
     words = signature(draw).parameters
     more: dict[str, object] = {}
     if name in ONE_POINT and given.point is None:
@@ -139,7 +133,7 @@ def _drawn(name: str, found: list[xr.Dataset], given: argparse.Namespace) -> Fig
         more |= {"task": task if chosen else None}
     if "snapshot" in words and given.snapshot is not None:
         more["snapshot"] = given.snapshot
-    return draw(found if name == "one_channel" else points, **more)
+    return draw(points, **more)
 
 
 def _pair(text: str) -> tuple[str, float]:

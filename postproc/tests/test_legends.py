@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from postproc.figures import appendix, circuits, maps, one_channel, passages
+from postproc.figures import appendix, circuits, maps, passages
 from postproc.figures.theories import named
 from postproc.tests.looks import assert_looks_apart
 from postproc.tests.runs import BARE, points_of, results_of
@@ -26,13 +26,11 @@ DRAWN = {
     "app2": (appendix.figure_urn_current, "urn", MIXED),
     "app3": (appendix.figure_urn_difference, "urn", MIXED),
     "app4": (appendix.figure_urn_scaled, "urn", MIXED),
-    "one_channel": (one_channel.figure_one_channel, "plane", one_channel.PAIR),
 }
 NARROWEST = {
     "point": ("comp05", "comp06", "comp01", "characteristic", "lifetimes"),
     "circuit": ("numris",),
     "urn_point": ("app2", "app3", "app4"),
-    "plane": ("one_channel",),
 }
 
 
@@ -51,9 +49,6 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
                output={"series_interval": 10.0})  # fmt: skip
     results_of(made / "urn_point.h5", table={"shape": "urn"}, particles={"number": 500}, run=SHORT,
                gate={"threshold": 4}, scan={"replicas": 1}, output=BARE)  # fmt: skip
-    lengths = {"channel1_length": [0.5, 1.0], "channel1_width": [0.2, 0.4], "replicas": 1}
-    results_of(made / "plane.h5", table={"channel2_width": 0.0}, run=SHORT, scan=lengths,
-               particles={"urn1_number": 750}, output=BARE)  # fmt: skip
     return made
 
 
@@ -61,7 +56,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_no_two_entries_of_a_legend_look_alike(name: str, folder: Path) -> None:
     draw, file, models = DRAWN[name]
     points = points_of(folder / f"{file}.h5")
-    assert_looks_apart(draw([points] if name == "one_channel" else points, models))
+    assert_looks_apart(draw(points, models))
 
 
 @pytest.mark.parametrize(
@@ -72,7 +67,7 @@ def test_no_legend_is_cut_in_the_narrowest_form_of_a_figure(
 ) -> None:
     draw, _, models = DRAWN[name]
     points = points_of(folder / f"{file}.h5")
-    made = draw([points] if name == "one_channel" else points, models)
+    made = draw(points, models)
     made.draw_without_rendering()
     for legend in made.legends:
         box = legend.get_window_extent()

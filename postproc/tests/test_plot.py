@@ -166,7 +166,7 @@ def test_a_tricritical_point_is_named_where_it_is_in_the_frame(high: float, name
 
 
 FIGURES = ["flows", "scene", "lifetimes", "phase_diagram", "curves", "relaxation", "characteristic",
-           "circuit", "one_channel"]  # fmt: skip
+           "circuit"]  # fmt: skip
 
 
 def test_without_a_complete_task_every_figure_says_so(

@@ -4,8 +4,7 @@ Each part makes runs, and prints numbers with standard errors over replicas:
 
 - flows: flow of channel 1 from urn 1 at T = 18, runs of comp05.nml, and theories (5 s);
 - slices: chi over T, and current over chi, of paper_slice.nml (15 s);
-- single: what eq. (eqapp5) adds to the current of the single urn, by w and T (5 s);
-- one_channel: chi against N w l/(8 T A) without channel 2 (25 s).
+- single: what eq. (eqapp5) adds to the current of the single urn, by w and T (5 s).
 """
 
 from __future__ import annotations
@@ -79,19 +78,7 @@ def single(work: study.Study) -> None:
         print(f"w = {width:g}: {', '.join(texts)}")
 
 
-def one_channel(work: study.Study) -> None:
-    """Print chi against N w l/(8 T A) without channel 2, for N = 1000 and 10,000."""
-    for name in ("paper_one_channel", "one_channel_starts"):
-        data = of_namelist(work, name)
-        number, threshold = int(data.number), int(data.threshold)
-        area = geometry.urn_area(0.0, 0.5)
-        for length in data.channel1_length.to_numpy():
-            chi = data.chi.sel(channel1_length=length).transpose(..., "replica").to_numpy()
-            text = " and ".join(map(mean, chi.reshape(-1, chi.shape[-1])))
-            print(f"N = {number}, {number * 0.5 * length / (8.0 * threshold * area):.3f}: {text}")
-
-
-PARTS = (flows, slices, single, one_channel)
+PARTS = (flows, slices, single)
 
 if __name__ == "__main__":
     raise SystemExit(study.main(__file__, __doc__, {part.__name__: part for part in PARTS}))

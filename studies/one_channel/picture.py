@@ -1,4 +1,4 @@
-"""Maps of chi of the one-channel model over its lengths and T, J. Phys. A 53, 305001 (2020).
+"""Maps of chi of the one-channel model over its lengths and T.
 
 Without channel 2 an urn sends out J(n), through its gate alone. The homogeneous state is unstable
 where J' < 0 at N/2. Lines are where N w l/(8 T A) = 1, the load of either gate at N/2 being T, and
@@ -15,17 +15,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from postproc.cli import InputError
 from postproc.figures import style
-from postproc.figures.maps import edges, map_of
-from postproc.reading.points import alike, files_of, groups, keys_of, means
 from postproc.theory.circuit import gate_load, log_outflow
 from postproc.theory.models import MODELS
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    import xarray as xr
     from matplotlib.axes import Axes
     from matplotlib.collections import QuadMesh
     from matplotlib.figure import Figure
@@ -59,7 +55,7 @@ class Plane:
 
     Attributes
     ----------
-    circuit : the circuit of the first point.
+    circuit : a circuit with the values of the other keys.
     keys : keys along x and y, of `KEYS`.
     x, y : its values; where T varies it does along y.
     chi : mean over the replicas, shape (y, x).
@@ -76,29 +72,6 @@ class Plane:
     def at(self, x: Floats, y: Floats) -> Circuit:
         """Return the circuits of places, arrays that broadcast."""
         return replace(self.circuit, **dict(zip(self.keys, (x, y), strict=True)))
-
-
-def planes_of(points: xr.Dataset) -> list[Plane]:
-    """Return the planes of points, one for each other key; an error if there is none."""
-    names = [name for name in KEYS if name in keys_of(points)]
-    if len(names) > 2:
-        raise InputError("figure one_channel: more than two of l, w, r and T vary: select")
-    others = [name for name in keys_of(points) if name not in KEYS]
-    return [_plane(part, names) for _, part in groups(points, *others)]
-
-
-def _plane(points: xr.Dataset, keys: list[str]) -> Plane:
-    first, *_ = alike(points)
-    if len(keys) != 2:
-        raise InputError(
-            f"{files_of(points)}: figure one_channel needs a scan over two of l, w, r and T; here "
-            f"{' '.join(keys) or 'none of them'} varies"
-        )
-    if float(first.channel2_width) > 0.0:
-        raise InputError(f"{files_of(points)}: figure one_channel needs channel2_width = 0")
-    chi = map_of(points, (keys[0], keys[1]), means(points, "chi")[0])
-    places = chi.columns.to_numpy(float), chi.index.to_numpy(float)
-    return Plane(first, (keys[0], keys[1]), *places, chi.to_numpy(), float(points["start"][0]))
 
 
 def relative_load(circuit: Circuit) -> Floats:
@@ -173,22 +146,22 @@ def published_load(_: Circuit, thresholds: Floats) -> Floats:
     return np.ones(thresholds.size)
 
 
-def lines_of(models: Sequence[Model], start: float) -> dict[str, Line]:
+def lines_of(start: float) -> dict[str, Line]:
     """Return N w l/(8 T A) of each line as a function of circuit and T, and its look, by label.
 
-    The line for the initial state, chi = `start`, is that of the last theory.
+    The line for the initial state, chi = `start`, is that of the exact gate.
     """
     found: dict[str, Line] = {r"$N w \ell / 8 T A = 1$": (published_load, "-", style.BLACK)}
-    for model in models:
+    for model in PAIR:
         label = f"$J' = 0$, {model.label}"
         found[label] = (partial(slope_load, model=model), model.dashes, style.BLACK)
-    last = models[-1]
+    last = PAIR[-1]
     label = f"$J(N_1) = J(N_2)$ at $\\chi(0)$, {last.label}"
     found[label] = (partial(start_load, model=last, start=start), "-", style.PURPLE)
     return found
 
 
-def transitions(plane: Plane, models: Sequence[Model]) -> dict[str, Floats]:
+def transitions(plane: Plane) -> dict[str, Floats]:
     """Return N w l/(8 T A) at the transition, by runs and by theories, for each column of a plane.
 
     By runs: where chi is one of `LEVELS`. By theories: where J' = 0, and where J(N1) = J(N2) at the
@@ -197,7 +170,7 @@ def transitions(plane: Plane, models: Sequence[Model]) -> dict[str, Floats]:
     places = {f"runs, chi = {level:g}": crossing(plane.y, plane.chi - level) for level in LEVELS}
     theories = {"J' = 0": slope_load, "start": partial(start_load, start=plane.start)}
     for name, load_of in theories.items():
-        for model in models:
+        for model in PAIR:
             _, y = line(plane, partial(load_of, model=model), plane.x)
             places[f"{name}, {model.label}"] = y
     return {
@@ -206,7 +179,7 @@ def transitions(plane: Plane, models: Sequence[Model]) -> dict[str, Floats]:
     }
 
 
-def table(planes: Sequence[Plane], models: Sequence[Model] = PAIR) -> str:
+def table(planes: Sequence[Plane]) -> str:
     """Return N w l/(8 T A) at the transitions as text, a column for each plane.
 
     Means and, for runs, standard deviations over the columns in which the runs cross the lower of
@@ -215,7 +188,7 @@ def table(planes: Sequence[Plane], models: Sequence[Model] = PAIR) -> str:
     lines = ["N w l/(8 T A) at the transition, over two of the lengths and T"]
     for number in sorted({int(plane.circuit.number) for plane in planes}):
         group = [plane for plane in planes if plane.circuit.number == number]
-        found = [transitions(plane, models) for plane in group]
+        found = [transitions(plane) for plane in group]
         symbols = [", ".join(KEYS[key].strip("$") for key in plane.keys) for plane in group]
         width = max(map(len, found[0]))
         head = f"N = {number}"
@@ -234,13 +207,8 @@ def _cell(loads: Floats, measured: Floats, name: str) -> str:
 
 
 @style.settings()
-def figure_one_channel(given: Sequence[xr.Dataset], models: Sequence[Model] = PAIR) -> Figure:
+def figure(planes: Sequence[Plane]) -> Figure:
     """Return a map for each plane, and below chi at one T against N w l/(8 T A)."""
-    planes = sorted(
-        (plane for part in given for plane in planes_of(part)),
-        key=lambda one: (one.circuit.number, *(list(KEYS).index(key) for key in one.keys)),
-    )
-    print(table(planes, models))
     numbers = sorted({int(plane.circuit.number) for plane in planes})
     groups = [[one for one in planes if one.circuit.number == number] for number in numbers]
     rows = [math.ceil(len(group) / COLUMNS) for group in groups]
@@ -253,13 +221,13 @@ def figure_one_channel(given: Sequence[xr.Dataset], models: Sequence[Model] = PA
         for at, plane in enumerate(group):
             column = 2 * (at % COLUMNS)
             panels.append(made.add_subplot(grid[row + at // COLUMNS, column : column + 2]))
-            mesh = _draw_map(panels[-1], plane, lines_of(models, plane.start))
+            mesh = _draw_map(panels[-1], plane, lines_of(plane.start))
         panels[-len(group)].set_title(_title(group[0]))
     made.colorbar(mesh, ax=panels, label=r"mass spread $\chi$", pad=0.01, aspect=40)
     for at, group in enumerate(together):
         width = 2 * COLUMNS // len(together)
         axes = made.add_subplot(grid[-1, width * at : width * (at + 1)])
-        _draw_together(axes, group, models)
+        _draw_together(axes, group)
     handles, labels = panels[0].get_legend_handles_labels()
     style.legend_above(made, handles, labels, 2, fontsize=7.5)
     return made
@@ -275,21 +243,17 @@ def _title(plane: Plane) -> str:
 
 def _draw_map(axes: Axes, plane: Plane, lines: dict[str, Line]) -> QuadMesh:
     mesh = axes.pcolormesh(
-        edges(plane.x), edges(plane.y), np.ma.masked_invalid(plane.chi), vmin=0.0, vmax=1.0
+        plane.x, plane.y, plane.chi, vmin=0.0, vmax=1.0, shading="nearest", rasterized=True
     )
-    mesh.set_rasterized(True)
-    axes.set_facecolor("#D0D0D0")
     for label, (load_of, dashes, colour) in lines.items():
         look = style.on_map(colour, 1.0)
         axes.plot(*line(plane, load_of), ls=dashes, label=label, **look)
-    axes.set_xlim(*edges(plane.x)[[0, -1]])
-    axes.set_ylim(*edges(plane.y)[[0, -1]])
     axes.set_xlabel(KEYS[plane.keys[0]], labelpad=1)
     axes.set_ylabel(KEYS[plane.keys[1]], labelpad=1)
     return mesh
 
 
-def _draw_together(axes: Axes, group: Sequence[Plane], models: Sequence[Model]) -> None:
+def _draw_together(axes: Axes, group: Sequence[Plane]) -> None:
     """Draw chi of planes with one T against N w l/(8 T A), by runs and by theories."""
     for plane, colour in zip(group, style.CYCLE, strict=False):
         loads = relative_load(plane.at(plane.x[None, :], plane.y[:, None]))
@@ -300,12 +264,12 @@ def _draw_together(axes: Axes, group: Sequence[Plane], models: Sequence[Model]) 
         )  # fmt: skip
     circuit = group[0].circuit
     lengths = DRAWN * float(circuit.channel1_length) / relative_load(circuit)
-    for model in models:
+    for model in PAIR:
         states = [model.stable_state(replace(circuit, channel1_length=one)) for one in lengths]
         spreads = [math.nan if one is None else one.mass_spread for one in states]
         axes.plot(DRAWN, spreads, color=style.ORANGE, ls=model.dashes, lw=1.2,
                   label=rf"$\chi$, {model.label}")  # fmt: skip
-    for load_of, dashes, colour in lines_of(models, group[0].start).values():
+    for load_of, dashes, colour in lines_of(group[0].start).values():
         (place,) = load_of(circuit, np.array([circuit.threshold]))
         axes.axvline(place, color=colour, ls=dashes, lw=0.9, zorder=0)
     axes.set_xlim(DRAWN[0], DRAWN[-1])
