@@ -19,6 +19,7 @@ from postproc.progress import each
 from postproc.reading.groups import GROUPS, created, group_of
 from postproc.reading.points import (
     COMPLETE,
+    FRACTIONS,
     NOT_ASKED,
     OVER_REPLICAS,
     PARAMETERS,
@@ -280,13 +281,14 @@ def _need_one_table(given: Sequence[xr.Dataset]) -> None:
 
 def _tasks(given: Sequence[xr.Dataset]) -> tuple[pd.DataFrame, list[str]]:
     """Return all different tasks, a row each with its parameters, and the names of these."""
+    fractions = [name for name in FRACTIONS.values() if all(name in one.dims for one in given)]
     frames, files = [], 0
     for one in given:
         rows = flat(one)
         kept = [name for name, values in rows.data_vars.items()
                 if set(values.dims) <= {"point", "replica"}
                 and not str(name).startswith("theory_")]  # fmt: skip
-        frame = rows[kept].to_dataframe().reset_index(drop=True)
+        frame = rows[[*kept, *fractions]].to_dataframe().reset_index(drop=True)
         frame["file"] = frame.get("file", 0) + files
         frames.append(frame[frame["task_status"] != NOT_ASKED])
         files += len(one.attrs["files"])
@@ -294,7 +296,9 @@ def _tasks(given: Sequence[xr.Dataset]) -> tuple[pd.DataFrame, list[str]]:
     for second, first in (("threshold2", "threshold"), ("urn_radius2", "urn_radius")):
         if second in table:
             table[second] = table[second].fillna(table[first])
-    keys = [name for name in PARAMETERS if name in table]
+    # A fraction that was scanned in all is a key, and determines its parameter.
+    known = chain.from_iterable((FRACTIONS.get(name), name) for name in PARAMETERS)
+    keys = [name for name in known if name in table]
     # A run of two files has its place in the first, and is that of the file that has more of it.
     table["run"] = table.groupby([*keys, "seed"], sort=False, dropna=False).ngroup()
     table = table.sort_values(["run", "task_status"], kind="stable")

@@ -258,6 +258,23 @@ def test_merged_replicas_are_side_by_side_and_errors_made_anew(folder: Path) -> 
     assert len(postproc.table(twice)) == 2 + 6
 
 
+def test_merged_scans_over_fractions_keep_their_grid(tmp_path: Path) -> None:
+    """T and N1 of a fraction change with N, so they are no grid."""
+    scan = {"number": [10, 20], "threshold_fraction": [0.1, 0.2], "urn1_fraction": [0.5, 0.7],
+            "threshold": None, "replicas": 2}  # fmt: skip
+    parts = [postproc.open_results(results_of(
+        tmp_path / f"{seed}.h5", scan=scan, particles={"number": None, "seed": seed},
+        run=SHORT, output=BARE)) for seed in (1, 2)]  # fmt: skip
+    merged = postproc.merge(parts)
+    assert set(merged.chi.dims) == set(parts[0].chi.dims)
+    for key in ("number", "threshold_fraction", "urn1_fraction"):
+        assert merged[key].values.tolist() == scan[key]
+    at = {"number": 20, "threshold_fraction": 0.2, "urn1_fraction": 0.7}
+    apart = [one.chi.sel(at).values.tolist() for one in parts]
+    assert merged.chi.sel(at).values.tolist() == [*apart[0], *apart[1]]
+    assert int(merged.threshold.sel(number=20, threshold_fraction=0.2)) == 4
+
+
 def test_merged_points_of_a_precision_have_one_state_and_one_error(tmp_path: Path) -> None:
     """Of one file those of the file; of two the scatter of all replicas, and two states stay."""
     paths = [results_of(tmp_path / f"{seed}.h5", scan={"threshold": [1, 3, 5], "replicas": 16},
