@@ -67,7 +67,7 @@ def test_free_particles_do_not_know_of_the_lag() -> None:
     circuit = MODELS["direction"].of(Circuit(12, 12, channel2_width=0.05))
     late = settling(circuit)
     assert np.ptp(late.sent, axis=1) == pytest.approx(0.0, abs=1e-9)
-    settled = chain.passages(circuit, replace(THEORY, passages=None))
+    settled, _ = chain.passages(circuit, replace(THEORY, passages=None))
     for time in (1.0, 1e4):
         found = replace(late, time=time).passage
         for start, stop in ((0, 3), (6, 1)):

@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     Floats = NDArray[np.float64]
 
 FEWEST = 4  # particles of a chain with lifetimes
+PART = 2**16  # places whose outflow is computed together, for the memory that it takes
 
 
 @dataclass(frozen=True)
@@ -69,7 +70,8 @@ def log_rates(circuit: Circuit, theory: Theory = WELL_MIXED) -> tuple[Floats, Fl
         return up, down
     out = np.full(number + 1, -np.inf)
     scale = math.log(math.pi * float(circuit.urn_area))
-    out[1:] = log_outflow(circuit, np.arange(1, number + 1)) - scale
+    parts = np.array_split(np.arange(1, number + 1), 1 + number // PART)
+    out[1:] = np.concatenate([log_outflow(circuit, part) for part in parts]) - scale
     return out[::-1], out
 
 
@@ -102,14 +104,16 @@ def folded(log_up: Floats, log_down: Floats) -> tuple[Floats, Floats]:
     return up, down
 
 
-def passages(circuit: Circuit, theory: Theory = WELL_MIXED) -> Callable[[int, int], float]:
-    """Return a function for the mean time from one state of `folded` to another."""
+def passages(
+    circuit: Circuit, theory: Theory = WELL_MIXED
+) -> tuple[Callable[[int, int], float], Floats | None]:
+    """Return a function for the mean time from one state of `folded` to another.
+
+    And the stationary distribution over these states, unless the theory has its own chain.
+    """
     if theory.passages is not None:
-        return theory.passages(circuit)
-    return _of_chain(*folded(*log_rates(circuit, theory)))
-
-
-def _of_chain(up: Floats, down: Floats) -> Callable[[int, int], float]:
+        return theory.passages(circuit), None
+    up, down = folded(*log_rates(circuit, theory))
     last = up.size - 1
 
     def passage(start: int, stop: int) -> float:
@@ -117,7 +121,7 @@ def _of_chain(up: Floats, down: Floats) -> Callable[[int, int], float]:
             return time_up(up, down, start, stop)
         return time_up(down[::-1], up[::-1], last - start, last - stop)
 
-    return passage
+    return passage, np.exp(log_weights(up, down))
 
 
 def lifetimes(circuit: Circuit, theory: Theory = WELL_MIXED) -> Lifetimes:
@@ -142,11 +146,10 @@ def lifetimes(circuit: Circuit, theory: Theory = WELL_MIXED) -> Lifetimes:
     offset, last = (number + 1) // 2, number // 2
     wall = int(np.clip(round(barrier) - offset, 1, last - 1))
     far = int(np.clip(round(polarised[-1].urn2_number) - offset, wall + 1, last))
-    passage = passages(circuit, theory)
+    passage, weights = passages(circuit, theory)
     times = (passage(0, wall) if homogeneous else 0.0, passage(far, wall))
     share = times[1] / sum(times)
-    if theory.passages is None:
-        weights = np.exp(log_weights(*folded(*log_rates(circuit, theory))))
+    if weights is not None:
         share = min(1.0, float(weights[wall:].sum()))
     return Lifetimes(*times, 2.0 * barrier / number - 1.0, share)
 
@@ -162,7 +165,7 @@ def passage_times(
     Unlike `lifetimes` they are defined whether or not the theory has both states.
     """
     number = int(circuit.number)
-    passage = passages(circuit, theory)
+    passage, _ = passages(circuit, theory)
     offset, last = (number + 1) // 2, number // 2
     above = int(np.clip(np.ceil(0.5 * number * (1.0 + high) - 1e-9) - offset, 1, last))
     below = int(np.clip(np.floor(0.5 * number * (1.0 + low) + 1e-9) - offset, 0, last - 1))
