@@ -33,7 +33,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy import special
 
-from postproc.advice import model_errors, transients
+from postproc.advice import transients
 from postproc.cli import InputError
 from postproc.progress import doing
 from postproc.reading.grid import open_results
@@ -469,7 +469,6 @@ def advise(
         )
     enough = replicas <= REPLICAS
     met = " The pilot itself meets the tolerance." if enough else ""
-    met += model_errors.words(circuit, quantity)
     off = []
     for name, model in MODELS.items():
         value, seconds = _theory_within(circuit, model, found, quantity, cost)

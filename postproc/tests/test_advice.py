@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from postproc.advice import advice, model_errors, transients
+from postproc.advice import advice, transients
 from postproc.advice.advice import Outcome, Pilot
 from postproc.tests.commands import call
 from postproc.theory.circuit import Circuit
@@ -288,25 +288,6 @@ def test_transition_of_the_battery() -> None:
     circuit = Circuit(1000, 7)
     assert advice.thresholds_of(circuit) == [14, 15, 16, 17, 18]
     assert advice.transition_of(circuit, MODELS["renewal"]) == pytest.approx(16.2, abs=0.1)
-
-
-def test_the_map_is_asked_at_the_nearest_point_of_like_circuits() -> None:
-    """Its own point, and one with twice the N and T; not beyond the map, nor of unlike gates."""
-    own = Circuit(1000, 8, 0.3, 0.02)
-    assert model_errors.nearest(own) == (8, 0.02)
-    assert model_errors.nearest(replace(own, number=2000, threshold=16)) == (8, 0.02)
-    assert model_errors.nearest(replace(own, number=2000, threshold=60)) is None
-    assert model_errors.nearest(replace(own, gate2_threshold=9)) is None
-    row = next(one for one in model_errors._table() if one["model"] == "direction"
-               and (one["T"], one["w2"]) == ("8", "0.02"))  # fmt: skip
-    for quantity, column in (("chi", "off_chi"), ("polarised_current", "off_share"),
-                             ("transition", "off_transition")):  # fmt: skip
-        told = model_errors.words(own, quantity)
-        assert f"direction {100.0 * abs(float(row[column])):.2g} %" in told
-        assert told.index("direction") < told.index("timestep 0.003")
-    found = Pilot(0.87, 0.009, 0.0, 1000.0, 2000.0, 1e-8, 0.05)  # too cheap to ask all theories
-    advised = advice.advise(advice.table_of(own), own, "chi", 0.001, found)
-    assert model_errors.words(own, "chi") in advised.reason
 
 
 def test_a_current_is_that_of_the_state_with_this_chi_and_has_its_sign() -> None:

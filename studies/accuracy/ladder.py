@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from postproc.advice.advice import transition_between as transition
-from postproc.advice.model_errors import BATTERY
 from postproc.reading.grid import open_results
+from postproc.theory.circuit import Circuit
 from postproc.theory.direction import transfer
 from postproc.theory.models import MODELS
 from postproc.theory.ports import mean_stay
@@ -24,12 +24,12 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from postproc.theory.circuit import Circuit
     from postproc.theory.model import Model
     from studies.common.study import Study
 
     Floats = NDArray[np.float64]
 
+BATTERY = Circuit(1000, 7)  # of the map, but for T and w'
 THRESHOLDS = tuple(range(10, 26))  # at which a theory is evaluated for its transition
 SCANNED = (14, 15, 16, 17, 18)  # at which an engine is run for the transition
 THEORIES = ("window", "renewal", "direction")
