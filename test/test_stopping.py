@@ -80,14 +80,18 @@ def test_the_signals_of_batch_systems_and_terminals_lose_nothing(
     assert "stopped early, the state is saved" in ended.stdout
 
 
-def test_nohup_keeps_a_run_from_the_signal_of_its_terminal(tmp_path: Path) -> None:
-    """What is ignored at the start stays ignored; the next signal stops the run."""
+@pytest.mark.parametrize("handler", [{}, {"HANGUP_HANDLER": "1"}], ids=["plain", "library"])
+def test_nohup_keeps_a_run_from_the_signal_of_its_terminal(
+    tmp_path: Path, lacking: str, handler: dict[str, str]
+) -> None:
+    """What is ignored at the start stays ignored, though a library has set a handler since."""
 
     def ignore() -> None:
         signal.signal(signal.SIGHUP, signal.SIG_IGN)
 
     write_case(CASE, tmp_path)
-    process, _ = under_way("case.nml", folder=tmp_path, prepare=ignore)
+    environment = {"LD_PRELOAD": lacking, **handler}
+    process, _ = under_way("case.nml", folder=tmp_path, prepare=ignore, environment=environment)
     assert not hears(process, signal.SIGHUP)
     send([process.pid], signal.SIGHUP)
     send([process.pid], signal.SIGUSR1)

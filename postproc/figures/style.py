@@ -148,6 +148,6 @@ def save(made: Figure, folder: Path, name: str) -> list[Path]:
         drawn = io.BytesIO()
         made.savefig(drawn, format=path.suffix[1:], dpi=RESOLUTION, metadata={about: None})
         with replaced(path) as half:
-            half.write_bytes(drawn.getbuffer())
+            half.write_bytes(drawn.getvalue())
         print(path)
     return paths

@@ -213,9 +213,9 @@ def test_eta_has_a_unit_and_its_help_no_label_of_a_manuscript() -> None:
 def test_help_describes_every_argument() -> None:
     for name in plot.__all__:
         draw = getattr(plot, name)
-        told = draw.__doc__
+        told = inspect.getdoc(draw)
         assert "above" not in told
-        assert all(f"\n    {one}\n" in told for one in inspect.signature(draw).parameters), name
+        assert all(f"\n{one}\n" in told for one in inspect.signature(draw).parameters), name
 
 
 def test_voltage_of_a_battery_whose_full_urn_returns_all_is_that_of_the_widths() -> None:

@@ -33,20 +33,31 @@ static void receive(int number)
   }
 }
 
+/* Whether SIGHUP was ignored (nohup) when the program started: before libraries set handlers for it as
+   they are loaded, which UCX does. */
+static int hangup_ignored;
+
+static void at_start(void)
+{
+  struct sigaction before = {0};
+  sigaction(SIGHUP, NULL, &before);
+  hangup_ignored = before.sa_handler == SIG_IGN;
+}
+
+__attribute__((section(".preinit_array"), used)) static void (*const before_libraries)(void) = at_start;
+
 /* Sets the handlers: the signals of the list request a stop; a write beyond a size limit or to a closed
-   pipe fails, but does not end the program. SIGHUP stays ignored where it is ignored (nohup). */
+   pipe fails, but does not end the program. SIGHUP stays ignored where it was ignored. */
 void signals_watch(void)
 {
-  struct sigaction stop = {0}, ignore = {0}, before = {0};
+  struct sigaction stop = {0}, ignore = {0};
   stop.sa_handler = receive;
   stop.sa_flags = SA_RESTART;
   sigemptyset(&stop.sa_mask);
   ignore.sa_handler = SIG_IGN;
   sigemptyset(&ignore.sa_mask);
-  sigaction(SIGHUP, NULL, &before);
   for (int at = 0; at < request_count; at++)
-    if (requests[at] != SIGHUP || before.sa_handler != SIG_IGN)
-      sigaction(requests[at], &stop, NULL);
+    sigaction(requests[at], requests[at] == SIGHUP && hangup_ignored ? &ignore : &stop, NULL);
   sigaction(SIGXFSZ, &ignore, NULL);
   sigaction(SIGPIPE, &ignore, NULL);
 }

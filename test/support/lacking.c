@@ -1,11 +1,13 @@
 /* A file system that lacks something: loaded before a program (LD_PRELOAD), it makes `flock`, and `fsync` of a
    folder, fail with the error numbers in the variables NO_FLOCK and NO_FOLDER_SYNC, and the call that NO_CALL
    names (read, opendir, readdir, stat, lstat, access) with that in NO_CALL_WITH, from the NO_CALL_AFTER-th such
-   call on, of paths that end with NO_CALL_OF. */
+   call on, of paths that end with NO_CALL_OF. With HANGUP_HANDLER set, a handler of SIGHUP is there before the
+   program begins, as UCX sets one. */
 #define _GNU_SOURCE
 #include <dirent.h>
 #include <dlfcn.h>
 #include <errno.h>
+#include <signal.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
@@ -17,6 +19,12 @@
 static int number_in(const char *name) {
   const char *text = getenv(name);
   return text == NULL ? 0 : atoi(text);
+}
+
+static void hear(int number) { (void)number; }
+
+__attribute__((constructor)) static void load(void) {
+  if (getenv("HANGUP_HANDLER") != NULL) signal(SIGHUP, hear);
 }
 
 /* Whether a call fails; sets errno then. */
