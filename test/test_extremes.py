@@ -103,8 +103,9 @@ def from_starts(
     engine: str,
     duration: float,
     snapshots: str = "0",
+    threshold: int | None = None,
 ) -> dict[str, np.ndarray]:
-    """Run particles from given starts, which no gate reverses, and read the results."""
+    """Run particles from given starts, which no gate reverses by default; read the results."""
     lines = [" ".join(repr(float(value)) for value in start) + "\n" for start in starts]
     (folder / "start.txt").write_text("".join(lines))
     ended = calculate(
@@ -114,7 +115,7 @@ def from_starts(
         engine,
         number=len(starts),
         particles={"initial_file": "'start.txt'"},
-        gate={"threshold": str(len(starts))},
+        gate={"threshold": str(threshold or len(starts))},
         run={"duration": repr(duration)},
         output={"snapshot_times": snapshots},
     )
@@ -409,3 +410,35 @@ def test_a_run_may_end_with_a_particle_on_the_counted_line(
     assert ended.returncode == 0, ended.stdout + ended.stderr
     with h5py.File(tmp_path / "out.h5") as file:
         assert abs(file["final/x"][0, 0, 0]) < 1e-15
+
+
+@pytest.mark.parametrize("engine", ENGINES[:3])
+@pytest.mark.parametrize(
+    ("x", "way"), [(-0.3, 6e-17), (0.0, -1.8e-16), (-0.5, 6e-17), (0.3, -6e-17)]
+)
+def test_an_upright_direction_in_a_channel_may_be_rounded(
+    tmp_path: Path, engine: str, x: float, way: float
+) -> None:
+    """As cos(pi/2) is: in a gate, on the counted line, on an opening; no gate counts it."""
+    starts = [(x, 0.0, way, 1.0), (-0.9, 0.0, 1.0, 0.01), (0.9, 0.0, -1.0, 0.01)]
+    found = from_starts(tmp_path, starts, TABLE, engine, 5.0, "5", threshold=1)
+    assert found["trapped"].item() == 1
+    assert found["reversals"].sum() == 0
+    assert found["chi"].item() == pytest.approx(1 / 3)
+    assert found["snapshots/x"].ravel()[0] == x
+
+
+@pytest.mark.parametrize("engine", ENGINES[:3])
+def test_crossings_of_both_channels_at_one_instant_have_one_order(
+    tmp_path: Path, engine: str
+) -> None:
+    """One of either at t = 1/4: channel 1 comes first, whatever the order of the file."""
+    table = {"urn_shape": "'polygon'", "urn_vertices": "1,-1,1,1,-1,1,-1,-1",
+             "channel1_width": 0.5, "channel2_width": 0.5}  # fmt: skip
+    starts = [(-2.75, 0, -1, 0), (0.25, 0.125, -1, 0), (-1.25, 0.6, 0.6, 0.8),
+              (1.25, 0.6, 0.6, 0.8), (1.3, 0.6, 0.6, 0.8)]  # fmt: skip
+    orders = {"given": starts, "reversed": starts[::-1]}
+    for name, order in orders.items():
+        (tmp_path / name).mkdir()
+        found = from_starts(tmp_path / name, order, table, engine, 1.0)
+        assert found["polarised_current"].item() == 0.0

@@ -110,6 +110,17 @@ def test_a_gate_that_never_reverses_has_no_line_of_transition() -> None:
         assert np.isnan(circuit.transition_line([10, 27], theory)[1]).all()
 
 
+@pytest.mark.parametrize("theory", ["window", "renewal"])
+@pytest.mark.parametrize("threshold", [100, 300])
+def test_from_all_particles_on_a_gate_lets_all_through(theory: str, threshold: int) -> None:
+    """However many its channel would hold: equal urns, which send out n (w + w')/(pi A)."""
+    circuit = Circuit(number=100, threshold=threshold, channel1_width=1.2, channel1_length=20.0,
+                      channel2_width=0.1)  # fmt: skip
+    assert [state.kind for state in circuit.states(theory)] == ["stable"]
+    free = 100.0 * 1.3 / (math.pi * float(circuit.model().urn_area))
+    assert circuit.eta(0.0, theory) == pytest.approx(free)
+
+
 SQUARE = (1.0, -1.0, 1.0, 1.0, -1.0, 1.0, -1.0, -1.0)
 
 

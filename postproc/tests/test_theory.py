@@ -211,8 +211,8 @@ def test_no_gate_reverses_from_all_particles_on(name: str) -> None:
     model = MODELS[name]
     one, far = (describe(Circuit(40, threshold), model) for threshold in (40, 10**9))
     assert one == far
-    line = model.transition_line(Circuit(4, 10**9), 1, 10**9) if model.mixed else ([4.0], [])
-    assert line[0][-1] == 4.0
+    line = model.transition_line(Circuit(4, 10**9), 1, 10**9) if model.mixed else ([3.0], [])
+    assert line[0][-1] == 3.0
 
 
 def test_no_gate_is_felt_at_a_threshold_of_all_particles() -> None:

@@ -23,6 +23,7 @@ from postproc.theory.circuit import (
     eta,
     flow1,
     flow2,
+    gate_load,
     single_urn_current,
     stability,
     transition_width,
@@ -259,7 +260,7 @@ class Model:
         Beyond its last T the homogeneous state is stable without channel 2, so the line ends at w'
         = 0.
         """
-        last = min(last, max(int(np.max(circuit.number)), 1))  # no gate reverses from T = N on
+        last = min(last, max(int(np.max(circuit.number)) - 1, 1))  # no gate reverses from T = N on
         own, whole = self.of(circuit), np.arange(min(max(first, 1), last), last + 1)
         if not self.has_line:
             return whole.astype(float), np.full(whole.shape, math.nan)
@@ -368,10 +369,12 @@ class Model:
 
 
 def _reachable(circuit: Circuit) -> dict[str, object]:
-    """Return the thresholds of a circuit, at most N: no gate reverses from T = N on."""
+    """Return the thresholds of a circuit; from T = N on, when no gate reverses, beyond any load."""
+    most = np.max([gate_load(side, circuit.number) for side in circuit.sides])
+    beyond = math.ceil(most + 40.0 * math.sqrt(most)) + 100  # the Poisson tail is 0 there
     names = ("threshold", "gate2_threshold")
     given = {name: getattr(circuit, name) for name in names}
-    return {name: np.minimum(one, circuit.number) if np.ndim(one) else min(one, circuit.number)
+    return {name: np.where(np.less(one, circuit.number), one, beyond)[()]
             for name, one in given.items() if one is not None}  # fmt: skip
 
 

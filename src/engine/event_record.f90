@@ -7,7 +7,7 @@ module battery_event_record
   use battery_ordering, only: sort_by_time
   implicit none (type, external)
   private
-  public :: event_record_type, reserve_event_record, record_crossing, &
+  public :: event_record_type, reserve_event_record, record_crossing, put_channel1_first, &
     record_event, record_reversal, sort_simultaneous_events, crossing_of, channel_of, &
     sort_event_record
   public :: channel1_12, channel1_21, channel2_12, channel2_21
@@ -130,6 +130,25 @@ contains
       direction_of(crossing), particle)
   end subroutine record_crossing
 
+  !> Moves a crossing of channel 1 before those of channel 2 at the same time, which change N1 - N2
+  !> afterwards; of one channel any order yields the same averages.
+  pure subroutine put_channel1_first(event_record, at)
+    type(event_record_type), intent(inout) :: event_record
+    !> Index of the crossing; those before it are in order.
+    integer, intent(in) :: at
+    integer(int8) :: mine
+    integer :: k
+
+    mine = event_record%crossing(at)
+    if (channel_of(int(mine)) /= channel1) return
+    do k = at - 1, 1, -1
+      if (event_record%crossing_time(k) < event_record%crossing_time(at) &
+        .or. channel_of(int(event_record%crossing(k))) == channel1) exit
+      event_record%crossing(k + 1) = event_record%crossing(k)
+    end do
+    event_record%crossing(k + 1) = mine
+  end subroutine put_channel1_first
+
   !> Adds a reversal of a gate, which reverses `counted` particles.
   subroutine record_reversal(event_record, time, gate, counted)
     type(event_record_type), intent(inout) :: event_record
@@ -211,6 +230,9 @@ contains
     associate (n => event_record%crossings)
       call sort_times_with_permutation(n, event_record%crossing_time, order)
       event_record%crossing(:n) = event_record%crossing(order)
+      do first = 2, n
+        call put_channel1_first(event_record, first)
+      end do
     end associate
     if (.not. event_record%logging) return
     associate (n => event_record%events)

@@ -7,8 +7,8 @@ module battery_initial_state
   use battery_findings, only: findings_type, finding_of, add_finding, findings_text, &
     displayable_text
   use battery_text, only: to_text, new_line_character
-  use battery_table, only: table_type, passage_type, passage_at, chamber_at, moves_along_arc, &
-    outside, half_length, try_random_point
+  use battery_table, only: table_type, chamber_at, moves_along_arc, outside, half_length, &
+    try_random_point
   use battery_engine, only: particles_type
   use battery_signals, only: stop_requested, set_stop_error
   use battery_gsl, only: seed_generator, uniform
@@ -87,9 +87,8 @@ contains
   end subroutine place_in_urn
 
   !> Parses `number` particles from a text with a line `x y ux uy` for each; velocities are
-  !> normalised to speed 1. A particle that is too slow along its channel to reach an end moves
-  !> across it: an angle of pi/2 has the cosine 6e-17. Empty lines and lines that begin with # are
-  !> ignored. All problems are reported in one error, with `name` for the file.
+  !> normalised to speed 1. Empty lines and lines that begin with # are ignored. All problems are
+  !> reported in one error, with `name` for the file.
   subroutine parse_particles(text, name, table, number, particles, error)
     !> Text of the whole file, and its name.
     character(len=*), intent(in) :: text, name
@@ -98,7 +97,6 @@ contains
     type(particles_type), intent(out) :: particles
     type(error_type), allocatable, intent(out) :: error
     type(findings_type) :: findings
-    type(passage_type) :: passage
     character(len=:), allocatable :: problem, foreign
     real(wp) :: state(4), speed
     integer(int64) :: first, line_start, last, next
@@ -142,8 +140,6 @@ contains
         particles%y(count) = state(2)
         particles%ux(count) = state(3)/speed
         particles%uy(count) = state(4)/speed
-        passage = passage_at(table, state(1), state(2), particles%ux(count), particles%uy(count))
-        if (passage%trapped) particles%ux(count) = 0.0_wp
       end if
     end do
     if (foreign == '' .and. count /= number) call add_finding(findings, finding_of(0, 'has ' &

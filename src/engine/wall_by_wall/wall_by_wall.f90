@@ -14,7 +14,8 @@ module battery_wall_by_wall
     uncount_all, number_inside, counted_particle
   use battery_engine, only: engine_type, particles_type
   use battery_event_record, only: event_record_type, reserve_event_record, record_crossing, &
-    record_event, record_reversal, sort_simultaneous_events, crossing_of, event_entry
+    put_channel1_first, record_event, record_reversal, sort_simultaneous_events, crossing_of, &
+    event_entry
   use battery_archive, only: archive_type
   implicit none (type, external)
   private
@@ -197,6 +198,7 @@ contains
     if (chamber == in_gate) then
       call uncount_particle(self%gate(urn), particle)
       call record_crossing(event_record, self%window_time, crossing_of(urn, channel1), particle)
+      call put_channel1_first(event_record, event_record%crossings)
     else
       call record_crossing(event_record, self%window_time, crossing_of(urn, channel2), particle)
     end if
