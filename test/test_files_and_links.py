@@ -38,7 +38,7 @@ def text_of(file: str = "out.h5", initial_file: str = "", **groups: dict[str, An
         "particles": particles,
         "gate": {"threshold": 2},
         "run": {"collisions": 200_000},
-        "scan": {"replicas": 2},
+        "scan": {"replicas": 1 if initial_file else 2},
         "output": {"file": f"'{file}'", "final_state": ".true."},
         **groups,
     }

@@ -236,6 +236,21 @@ def test_an_initial_file_that_does_not_fit_a_point_is_refused_with_the_point(
     assert lines[0] == "start.txt, line 1: lies outside the table: x = -1.2, y = 0.6"
 
 
+@pytest.mark.parametrize(("engine", "code"), [("collision", 2), ("reservoir", 0)])
+def test_replicas_of_one_initial_file_are_refused_unless_the_engine_draws(
+    tmp_path: Path, engine: str, code: int
+) -> None:
+    """They would be one run, and the error over them 0."""
+    (tmp_path / "start.txt").write_text("-1.2 0.6 1 0\n1.2 -0.6 0 1\n")
+    (tmp_path / "case.nml").write_text(namelist(
+        particles={"number": 2, "initial_file": "'start.txt'"}, gate={"threshold": 2},
+        run={"engine": f"'{engine}'"}, scan={"replicas": 3},
+    ))  # fmt: skip
+    ended = run("--check", "case.nml", folder=tmp_path)
+    assert ended.returncode == code
+    assert ("&scan replicas = 3; allowed: 1, since all" in ended.stderr) == (code == 2)
+
+
 def test_large_numbers_are_shown_whole(tmp_path: Path) -> None:
     """The table on the screen makes room for them."""
     case = namelist(
