@@ -20,7 +20,7 @@ contains
     type(string_type), allocatable :: remarks(:)
     type(point_type) :: point
     type(finding_type) :: finding
-    type(string_type) :: sentences(4), on_currents, radii(2)
+    type(string_type) :: sentences(4), remark, radii(2)
     !> Whether each gate never reverses: it does when it counts more than T particles.
     logical :: never(2)
     !> Whether each sentence holds at a point; number of points where it does, and the first.
@@ -49,18 +49,22 @@ contains
       finding = finding_of(0, sentences(at)%text, key='', kind=of_remark)
       finding%points = points(at)
       finding%first_point = first(at)
-      remarks = [remarks, string_type(finding%value//points_text(plan, finding))]
+      ! Not in a structure constructor: gfortran 13 takes a wrong length there.
+      remark%text = finding%value//points_text(plan, finding)
+      remarks = [remarks, remark]
     end do
     ! A decimal comma separates two numbers.
     do at = 1, 2
       radii(at)%text = to_text(plan%base%of(key_radius)%real(at))
     end do
     if (plan%shape /= 'urn' .and. radii(1)%text /= radii(2)%text .and. .not. (is_scanned(plan, &
-      'urn_radius') .or. is_scanned(plan, 'urn_radius2'))) remarks = [remarks, &
-      string_type('urn_radius = '//join(radii, ', ')//' are two radii: '//radii(1)%text &
-      //' of urn 1, '//radii(2)%text//' of urn 2')]
-    on_currents%text = current_remark(plan)
-    if (on_currents%text /= '') remarks = [remarks, on_currents]
+      'urn_radius') .or. is_scanned(plan, 'urn_radius2'))) then
+      remark%text = 'urn_radius = '//join(radii, ', ')//' are two radii: '//radii(1)%text &
+        //' of urn 1, '//radii(2)%text//' of urn 2'
+      remarks = [remarks, remark]
+    end if
+    remark%text = current_remark(plan)
+    if (remark%text /= '') remarks = [remarks, remark]
   end function remarks_of
 
   !> The first disc that reaches from wall to wall of channel 2; 0: none. Discs do not touch each
