@@ -18,15 +18,21 @@ module battery_provenance
 
 contains
 
-  !> The attributes that describe the build.
+  !> The attributes that describe the build. (gfortran 13 takes a wrong length of a text in a
+  !> structure constructor.)
   function build_attributes() result(list)
     type(attribute_type) :: list(8)
 
-    list = [attribute_type('program', 'battery'), attribute_type('version', program_version), &
-      attribute_type('git_commit', git_commit()), attribute_type('compiler', compiler_version()), &
-      attribute_type('compiler_options', compiler_options()), &
-      attribute_type('mpi_library', mpi_library()), &
-      attribute_type('hdf5_library', hdf5_library()), attribute_type('gsl_library', gsl_library())]
+    list%name = [character(len=16) :: 'program', 'version', 'git_commit', 'compiler', &
+      'compiler_options', 'mpi_library', 'hdf5_library', 'gsl_library']
+    list(1)%text = 'battery'
+    list(2)%text = program_version
+    list(3)%text = git_commit()
+    list(4)%text = compiler_version()
+    list(5)%text = compiler_options()
+    list(6)%text = mpi_library()
+    list(7)%text = hdf5_library()
+    list(8)%text = gsl_library()
   end function build_attributes
 
   !> Text of `--version`: name, version and commit, then the attributes of the build, one per line.
