@@ -248,7 +248,7 @@ def test_replicas_of_one_initial_file_are_refused_unless_the_engine_draws(
     ))  # fmt: skip
     ended = run("--check", "case.nml", folder=tmp_path)
     assert ended.returncode == code
-    assert ("&scan replicas = 3; allowed: 1, since all" in ended.stderr) == (code == 2)
+    assert ("&scan replicas = 3; allowed: 1, and no" in ended.stderr) == (code == 2)
 
 
 def test_large_numbers_are_shown_whole(tmp_path: Path) -> None:

@@ -323,6 +323,7 @@ def circulating(circuit: Circuit, duration: float) -> float:
     stable = MODELS["renewal"].solve_stable(circuit)
     if not stable:
         return 0.0
+    circuit = MODELS["renewal"].of(circuit)
     number, found = float(circuit.number), 0.0
     for state in stable:
         dense = max(state.urn2_number, number - state.urn2_number)

@@ -44,8 +44,8 @@ def main(arguments: list[str] | None = None) -> int:
         with doing(f"theory {model.name}"):
             answers.append(describe(circuit, model))
         if given.tricritical and model.mixed:
-            # It does not depend on N, but a circuit has no threshold above its N.
-            number = max(given.number, *given.threshold)
+            # It does not depend on N, but from T = N on no gate reverses.
+            number = max(given.number, *(one + 1 for one in given.threshold))
             unlimited = given_circuit(argparse.Namespace(**vars(given) | {"number": number}))
             there = tricritical.tricritical(model.of(unlimited))
             answers[-1]["transition"] = tricritical.order(model.of(circuit))

@@ -298,7 +298,7 @@ def _tasks(given: Sequence[xr.Dataset]) -> tuple[pd.DataFrame, list[str]]:
             table[second] = table[second].fillna(table[first])
     # A fraction that was scanned in all is a key, and determines its parameter.
     known = chain.from_iterable((FRACTIONS.get(name), name) for name in PARAMETERS)
-    keys = [str(name) for name in known if name in table]
+    keys = [str(name) for name in known if name in table and name in (*fractions, *PARAMETERS)]
     # A run of two files has its place in the first, and is that of the file that has more of it.
     table["run"] = table.groupby([*keys, "seed"], sort=False, dropna=False).ngroup()
     table = table.sort_values(["run", "task_status"], kind="stable")

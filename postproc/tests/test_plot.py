@@ -275,6 +275,26 @@ def test_merged_scans_over_fractions_keep_their_grid(tmp_path: Path) -> None:
     assert int(merged.threshold.sel(number=20, threshold_fraction=0.2)) == 4
 
 
+@pytest.mark.parametrize("other", [{"threshold": [5, 6]}, {}], ids=["thresholds", "one"])
+def test_a_scan_over_fractions_merges_with_any_other(
+    tmp_path: Path, other: dict[str, list[int]]
+) -> None:
+    """No run is lost, in whatever order the files are given."""
+
+    def made(name: str, scan: dict[str, object], threshold: int | None) -> Path:
+        return results_of(tmp_path / name, run=SHORT, output=BARE, particles={"number": 10},
+                          gate={"threshold": threshold},
+                          scan={"threshold": None, **scan})  # fmt: skip
+
+    files = [made("f.h5", {"threshold_fraction": [0.1, 0.2]}, None),
+             made("o.h5", other, None if other else 5)]  # fmt: skip
+    count = sum(postproc.open_results(one)["task"].size for one in files)
+    for order in (files, files[::-1]):
+        merged = postproc.merge(order)
+        assert merged.attrs["tasks"] == f"{count} of {count} tasks are complete"
+        assert int(merged.chi.notnull().sum()) == count
+
+
 def test_merged_points_of_a_precision_have_one_state_and_one_error(tmp_path: Path) -> None:
     """Of one file those of the file; of two the scatter of all replicas, and two states stay."""
     paths = [results_of(tmp_path / f"{seed}.h5", scan={"threshold": [1, 3, 5], "replicas": 16},

@@ -333,7 +333,7 @@ class Model:
             return None
         own = self.of(circuit)
         load = 0.5 * float(circuit.number) * float(circuit.load_per_particle)
-        whole = range(max(int(load / STRONGEST), 1), int(load) + 1)
+        whole = range(max(int(load / STRONGEST), 1), min(int(load) + 1, int(circuit.number)))
         values = [cubic(replace(own, threshold=one)) for one in whole]
         for one, (low, high) in zip(whole, pairwise(values), strict=False):
             if low < 0.0 <= high:

@@ -101,7 +101,7 @@ contains
         'one, since &particles initial_file is given')
       if (plan%first_replicas > 1 .and. plan%engine /= 'reservoir') call refuse_value(plan, &
         'replicas', to_text(plan%first_replicas), &
-        '1, since all would be one run, from &particles initial_file')
+        '1, and no &precision, since all would be one run, from &particles initial_file')
     end if
 
   contains

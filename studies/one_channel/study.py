@@ -1,7 +1,7 @@
 """Where the one-channel model loses its homogeneous state, J. Phys. A 53, 305001 (2020).
 
 - planes: chi over two of l, w, r and T, all six pairs, N = 1000 and 10,000: picture, transitions;
-- load: chi against N w l/(8 T A) at finer steps, from chi(0) = 0, 0.5 and 1 (25 s).
+- load: chi against N w l/(8 T A) at finer steps (25 s), at N = 10,000 from chi(0) = 0, 0.5 and 1.
 
 Quick planes have ten values of each key.
 """
@@ -73,7 +73,7 @@ def text_of(chi: Sequence[float]) -> str:
 
 
 def load(work: study.Study) -> None:
-    """Print chi against N w l/(8 T A), from each start, for N = 1000 and 10,000."""
+    """Print chi against N w l/(8 T A), one value for each start."""
     for name in ("load", "starts"):
         data = postproc.open_results(work.run(name, name))
         for length in data.channel1_length.to_numpy():
