@@ -45,14 +45,15 @@ def advise(
     quantity
         "chi", "polarised_current" or "transition".
     tolerance
-        Relative.
+        Relative, from 1e-4 to 1.
     pilot_seconds
         Processor time that the pilot may take.
 
     Raises
     ------
     InputError
-        There is no such quantity, or no advice on such a table: polygons, discs, several points.
+        There is no such quantity, tolerance or time, or no advice on such a table: polygons, discs,
+        several points.
     """
     if quantity not in advice.QUANTITIES:
         known = ", ".join(advice.QUANTITIES)
@@ -64,6 +65,11 @@ def advice_on(
     groups: Groups, circuit: Circuit, quantity: str, tolerance: float, pilot_seconds: float
 ) -> Advice:
     """Return advice on a circuit, of which `groups` are what a namelist says."""
+    numbers = ("tolerance", tolerance, 1e-4, 1.0), ("pilot_seconds", pilot_seconds, 1.0, 1e100)
+    for name, value, low, high in numbers:
+        if not (isinstance(value, (int, float)) and low <= value <= high):
+            told = f"must be a number from {low:g} to {high:g}"
+            raise cli.InputError(f"{name} = {value!r}: {told}")
     if quantity != "chi" and np.all(np.equal(circuit.channel2_width, 0.0)):
         raise cli.InputError(f"without channel 2 there is no {quantity}")
     return advice.advise(groups, circuit, quantity, tolerance, longest=pilot_seconds)

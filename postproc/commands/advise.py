@@ -33,11 +33,11 @@ if TYPE_CHECKING:
 def _add(options: argparse.ArgumentParser) -> None:
     options.add_argument("--quantity", choices=QUANTITIES, default="chi", help="(default: chi)")
     options.add_argument(
-        "--tolerance", type=cli.allowed(float, 1e-4, 1.0), default=0.02, metavar="SHARE",
-        help="relative (default: 0.02)",
+        "--tolerance", type=float, default=0.02, metavar="SHARE",
+        help="relative, from 1e-4 to 1 (default: 0.02)",
     )  # fmt: skip
     options.add_argument(
-        "--pilot-seconds", type=cli.allowed(float, 1.0, 1e100), default=60.0, metavar="S",
+        "--pilot-seconds", type=float, default=60.0, metavar="S",
         help="processor time that the pilot may take (default: 60)",
     )  # fmt: skip
 

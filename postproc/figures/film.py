@@ -334,6 +334,8 @@ def film(
         told = f"snapshots more than {CLOSE} apart follow each other without flight"
         print(f"{files_of(points)}: {told}", file=sys.stderr)
     path = cli.path_of(file, "file")
+    if path.suffix not in (".mp4", ".gif"):
+        raise cli.InputError(f"{path}: a film is an .mp4 or a .gif")
     cli.file_to_write(path, "GIF file" if path.suffix == ".gif" else "film")
     cli.output_folder(path.parent)
     write(scenes, seconds, path)

@@ -219,7 +219,7 @@ def merge(parts: Iterable[str | Path | xr.Dataset]) -> xr.Dataset:
     InputError
         The tables differ in more than lengths: polygons, discs in channel 2, a single urn.
     """
-    if isinstance(parts, (str, Path, xr.Dataset)):
+    if isinstance(parts, (str, Path, xr.Dataset)) or not isinstance(parts, Iterable):
         parts = [parts]
     given = [dataset_of(one) for one in parts]
     if not given:
@@ -344,11 +344,10 @@ def _independent(table: pd.DataFrame) -> list[str]:
 def _attributes(given: Sequence[dict[str, object]]) -> dict[str, object]:
     """Return the attributes that are the same in all, and what differs."""
     first, *others = given
-    kept = {"namelist", "version"}
     same = {name: value for name, value in first.items()
-            if name in kept or all(one.get(name) == value for one in others)}  # fmt: skip
+            if name == "version" or all(one.get(name) == value for one in others)}  # fmt: skip
     told = {name: [one.get(name) for one in given] for name in first if name not in UNSAID}
-    groups = [f90nml.reads(str(one["namelist"])) for one in given]
+    groups = [f90nml.reads(str(one.get("namelist", ""))) for one in given]
     for group in ("run", "initial"):
         for key in sorted({key for one in groups for key in one.get(group, {})}):
             told[f"&{group} {key}"] = [one.get(group, {}).get(key) for one in groups]

@@ -144,6 +144,7 @@ def snapshots_of(points: xr.Dataset, point: int, replica: int) -> list[Snapshot]
 def snapshot_of(points: xr.Dataset, point: int, replica: int, index: int) -> Snapshot:
     """Return one snapshot of a task; `index` counts from 0, or from the end if negative."""
     found = snapshots_of(points, point, replica)
-    if not -len(found) <= index < len(found):
-        raise InputError(f"{files_of(points)}: has {len(found)} snapshots, there is no such one")
-    return found[index]
+    if index not in range(-len(found), len(found)):
+        told = f"has {len(found)} snapshots, {index!r} is none of them"
+        raise InputError(f"{files_of(points)}: {told}")
+    return found[int(index)]

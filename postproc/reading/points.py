@@ -48,7 +48,8 @@ def mean_error(values: xr.DataArray, own_error: xr.DataArray | None = None) -> x
     """Return the mean over replicas and its standard error.
 
     The error is the scatter of n >= 2 complete replicas over sqrt(n), 0 where it is rounding; for
-    one replica it is the run's own.
+    one replica it is the run's own. A variable does not know where replicas are in two states
+    (`point_status` 2), so there, too, it has a mean; `table`, figures and reports show none.
 
     Parameters
     ----------
@@ -69,8 +70,9 @@ def mean_error(values: xr.DataArray, own_error: xr.DataArray | None = None) -> x
     >>> round(float(found["mean"]), 3), round(float(found["error"]), 3), int(found["replicas"])
     (0.25, 0.05, 2)
     """
-    if "replica" not in values.dims:
-        raise InputError(f"values: a variable with the dimension replica, not {values.dims}")
+    if not (isinstance(values, xr.DataArray) and "replica" in values.dims):
+        found = getattr(values, "dims", type(values).__name__)
+        raise InputError(f"values: a variable with the dimension replica, not {found}")
     good = values.notnull() & (abs(values) < math.inf)
     count = good.sum("replica")
     scatter = values.where(count > 1).std("replica", ddof=1) / np.sqrt(count.where(count > 1))
@@ -210,10 +212,10 @@ def task_of(points: xr.Dataset, point: int | None, replica: int | None) -> tuple
     """Return point and replica of a task; an argument that is None is the first complete one."""
     done = with_tasks(points)["complete"].values
     for what, one, count in zip(("point", "replica"), (point, replica), done.shape, strict=True):
-        if one is not None and not 0 <= one < count:
+        if one is not None and one not in range(count):
             raise InputError(f"{files_of(points)}: {what} {one} is not one of 0 to {count - 1}")
-    at = int(done.any(axis=1).argmax()) if point is None else point
-    return at, int(done[at].argmax()) if replica is None else replica
+    at = int(done.any(axis=1).argmax() if point is None else point)
+    return at, int(done[at].argmax() if replica is None else replica)
 
 
 def alike(points: xr.Dataset) -> list[Circuit]:

@@ -56,8 +56,8 @@ def residences(series: xr.Dataset, *, low: float = 0.2, high: float = 0.7) -> pd
         one = points.isel(point=at)
         about = {name: one[name].item() for name in PARAMETERS
                  if name in one and one[name].ndim == 0}  # fmt: skip
-        for replica in range(points.sizes["replica"]):
-            first = np.asarray(one["urn1_number"].isel(replica=replica), float)
+        for place, replica in enumerate(points["replica"].values.tolist()):
+            first = np.asarray(one["urn1_number"].isel(replica=place), float)
             known = np.isfinite(first) & (first >= 0.0)
             spread = 2.0 * first[known] / about["number"] - 1.0
             for state, start, duration, ended in _stays(time[known], spread, low, high):

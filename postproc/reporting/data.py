@@ -41,6 +41,7 @@ SYMBOLS = {
     "channel1_length": "l", "channel2_width": "w'", "channel2_length": "l'", "urn_radius": "r",
 }  # fmt: skip
 MEASURED = {"chi": "mass spread chi", "current": "polarised current"}
+OF_URN = {"current": "hits on the end wall, per unit time"}  # of the single urn
 SAMPLES = (20, 300)  # least and most samples of a series on the page
 ROOM = 250_000  # samples of all series together
 
@@ -233,17 +234,23 @@ def _block_means(values: Floats, ends: Sequence[int]) -> Floats:
     return (sums[last] - sums[first]) / (last - first)
 
 
-def namelist_of_point(points: xr.Dataset, scan: Scan) -> str:
-    """Return the run's namelist with one value for each key scanned, `@KEY@` in its place."""
-    text = str(points.attrs.get("namelist", ""))
+def namelist_of_point(points: xr.Dataset) -> tuple[str, Columns]:
+    """Return the run's namelist with `@KEY@` for each key scanned, and its values at the points.
+
+    Empty for merged results of several namelists.
+    """
+    text, values = str(points.attrs.get("namelist", "")), {}
     try:
         groups = f90nml.reads(text)
     except Exception:  # of any class, where the program accepts more than this reader
-        return text
+        return text, {}
     group = groups.get("scan", {})
     for key in list(group):
         name = key.removesuffix("_range")
-        if name in scan.keys:
+        # Where urns or gates are alike at all points, those of 2 are those of 1.
+        source = name if name in points else name.removesuffix("2")
+        if source in points:
             del group[key]
             group[name] = f"@{name}@"
-    return str(groups)
+            values[name] = np.broadcast_to(points[source].values, points.sizes["point"])
+    return str(groups), values

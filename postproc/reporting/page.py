@@ -99,7 +99,7 @@ if (at === undefined) return
 name.text = `Point ${at}. ${points.data.told[at]}`
 const tasks = Array.from({length: count}, (_, replica) => at * count + replica)
 rows.indices = tasks
-namelist.text = text.replace(/'@(\\w+)@'/g, (_, key) => String(points.data[key][at]))
+namelist.text = text.replace(/'@(\\w+)@'/g, (_, key) => String(values[key][at]))
 if (time.length === 0) return
 const kept = tasks.filter((task) => tasks_with_series[task])
 const cut = (values) => kept.map(
@@ -161,7 +161,10 @@ class Page:
         self.lines = ColumnDataSource(data.map_lines(self.given, self.scan, self.models))
         self.drawn = IndexFilter(list(range(len(self.lines.data["xs"]))))
         self.reading = Div(text=IDLE, name="reading", render_as_text=True)
-        self.measured = [name for name in data.MEASURED if np.isfinite(self.columns[name]).any()]
+        self.urn = self.given.attrs.get("shape") == "urn"
+        self.measured = {name: title
+                         for name, title in (data.OF_URN if self.urn else data.MEASURED).items()
+                         if np.isfinite(self.columns[name]).any()}  # fmt: skip
 
     def panels(self) -> list[figure]:
         """Return the maps of a scan, or its curves; none for a single point."""
@@ -202,7 +205,7 @@ class Page:
     def _map(self, name: str, error: str) -> figure:
         made = self._figure(
             f"{name}{error}",
-            f"{data.MEASURED[name]}{error.replace('_', ', ')}",
+            f"{self.measured[name]}{error.replace('_', ', ')}",
             x_range=(self.columns["left"].min(), self.columns["right"].max()),
             y_range=(self.columns["bottom"].min(), self.columns["top"].max()),
         )
@@ -232,7 +235,7 @@ class Page:
         return made
 
     def _curve(self, name: str) -> figure:
-        made = self._figure(name, f"{data.MEASURED[name]}, standard errors")
+        made = self._figure(name, f"{self.measured[name]}, standard errors")
         for curve in data.curves(self.columns, self.scan, self.models, name):
             made.line(**curve, line_color="#333333", line_width=1.5)
         made.add_layout(
@@ -267,7 +270,8 @@ class Page:
     def table(self) -> DataTable:
         """Return the table of all points, which sorts."""
         heads = {name: data.label(name) for name in self.scan.keys}
-        heads["start"] = "start chi"
+        if not self.urn:
+            heads["start"] = "start chi"
         for name in self.measured:
             heads |= {name: name, f"{name}_error": f"{name} error"}
             heads |= {f"{key}_{name}": f"{name}, {one.label}" for key, one in self.models.items()
@@ -287,24 +291,30 @@ class Page:
             {key: [] for key in (*SERIES, "time", "colour", "replica", "width")}
         )
         name, namelist = Div(name="name", render_as_text=True), PreText(name="namelist")
+        text, values = data.namelist_of_point(self.given)
         there = np.isfinite(columns.get("spread", np.empty(0)).reshape(-1, max(time.size, 1)))
         self.click = CustomJS(
             args={"points": self.points, "name": name, "rows": rows, "count": count,
-                  "namelist": namelist, "text": data.namelist_of_point(self.given, self.scan),
+                  "namelist": namelist, "text": text,
+                  "values": {key: one.tolist() for key, one in values.items()},
                   "time": time.tolist(), "series": ColumnDataSource(columns), "shown": shown,
                   "tasks_with_series": there.any(axis=1).tolist(), "colours": list(CYCLE),
                   "most": MOST},
             code=CLICKED,
         )  # fmt: skip
         self.points.selected.js_on_change("indices", self.click)
-        self.series = [self._series(shown, one, time, values) for one, values in columns.items()]
-        return [name, table, *self.series, namelist]
+        titles = data.OF_URN if self.urn else SERIES
+        self.series = [self._series(shown, one, title, time, columns[one])
+                       for one, title in titles.items() if columns]  # fmt: skip
+        return [name, table, *self.series, *([namelist] if text else [])]
 
-    def _series(self, shown: ColumnDataSource, name: str, time: Floats, values: Floats) -> figure:
+    def _series(
+        self, shown: ColumnDataSource, name: str, title: str, time: Floats, values: Floats
+    ) -> figure:
         known = values[np.isfinite(values)]
         made = self._figure(
             f"series_{name}",
-            SERIES[name],
+            title,
             x_range=(0.0, time[-1]),
             y_range=(known.min(initial=-1.0), known.max(initial=1.0)),
         )
@@ -384,11 +394,11 @@ def _run(points: xr.Dataset) -> dict[str, str]:
     return rows
 
 
-def _lines(scan: Scan, models: dict[str, Model]) -> str:
-    if not models:
+def _lines(parts: Page) -> str:
+    if not parts.models or (parts.scan.up and not len(parts.lines.data["xs"])):
         return ""
-    named = ", ".join(f"{one.label} ({data.dash(one)})" for one in models.values())
-    what = "where the homogeneous state turns stable" if scan.up else "theory"
+    named = ", ".join(f"{one.label} ({data.dash(one)})" for one in parts.models.values())
+    what = "where the homogeneous state turns stable" if parts.scan.up else "theory"
     return f"Lines, {what}: {named}."
 
 
@@ -405,15 +415,20 @@ def _picture(circuit: Circuit) -> str:
 def _about(points: xr.Dataset) -> str:
     """Return what all points have in common: parameters, replicas, the length of runs."""
     columns = {name: points[name].values for name in SHOWN}
-    columns["chi at the start"] = points["start"].values
+    if points.attrs.get("shape") != "urn":
+        columns["chi at the start"] = points["start"].values
     told = [f"{data.SYMBOLS.get(name, name)} = {values[0]:.5g}"
             for name, values in columns.items() if np.unique(values).size == 1]  # fmt: skip
-    told.append(f"{points.sizes['replica']} replicas")
+    told.append(f"{_from_to(points['asked'].sum('replica').values)} replicas")
     if "time" in points:
         time = points["time"].values[points["complete"].values]
-        told.append(f"runs of {time.min():.3g}" + (f" to {time.max():.3g}" if np.ptp(time) else "")
-                    + " time units")  # fmt: skip
+        told.append(f"runs of {_from_to(time)} time units")
     return ", ".join(told)
+
+
+def _from_to(values: NDArray[np.generic]) -> str:
+    """Return the least and the greatest value, one if they are equal."""
+    return " to ".join(f"{one:.5g}" for one in np.unique([values.min(), values.max()]))
 
 
 def page(points: xr.Dataset, models: dict[str, Model]) -> str:
@@ -443,8 +458,8 @@ def page(points: xr.Dataset, models: dict[str, Model]) -> str:
             "about": _about(points),
             "warnings": warnings(points),
             "explanations": explanations(points),
-            "lines": _lines(scan, models),
-            "theory": KNOWN if models else UNKNOWN,
+            "lines": _lines(parts),
+            "theory": UNKNOWN if not models else "" if parts.urn else KNOWN,
             "picture": _picture(circuits[0]),
             "panels": [one.name for one in panels],
             "choices": [one.name for one in choices],

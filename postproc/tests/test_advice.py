@@ -13,6 +13,8 @@ import pytest
 
 from postproc.advice import advice, transients
 from postproc.advice.advice import Outcome, Pilot
+from postproc.advice.question import advise
+from postproc.cli import InputError
 from postproc.tests.commands import call
 from postproc.theory.circuit import Circuit
 from postproc.theory.models import MODELS
@@ -100,6 +102,14 @@ def test_what_there_is_no_advice_on(
     file.write_text(text)
     assert call("advise", [str(file)]) == 2
     assert wrong in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(("name", "value"), [("tolerance", 0), ("tolerance", "a"),
+                                             ("pilot_seconds", math.nan)])  # fmt: skip
+def test_a_tolerance_or_time_that_is_not_allowed(name: str, value: object) -> None:
+    groups = {"particles": {"number": 100}, "gate": {"threshold": 2}}
+    with pytest.raises(InputError, match=f"{name} = .*: must be a number from "):
+        advise(groups, "chi", **{name: value})
 
 
 def test_runs_have_the_error_that_was_wanted() -> None:

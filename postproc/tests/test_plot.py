@@ -6,6 +6,7 @@ import inspect
 import math
 import pydoc
 import shutil
+from collections.abc import Callable
 from pathlib import Path
 
 import h5py
@@ -155,6 +156,26 @@ def test_numbers_of_particles_have_their_ticks_and_theories_marks(tmp_path: Path
     marks = next(line for line in axes.lines if line.get_marker() == circuits.THEORY_MARKS[0])
     assert marks.get_linestyle() == "None"
     assert marks.get_ydata() == pytest.approx(data.theory_polarised_current.values)
+
+
+@pytest.mark.parametrize(
+    ("ask", "said"),
+    [
+        (lambda one: plot.curves(one, against="channel2_width"), "no variable 'channel2_width' of"),
+        (lambda one: plot.curves(one, variable="threshold"), "no variable 'threshold' of runs"),
+        (lambda one: plot.scene(one, snapshot=1.5), "has 3 snapshots, 1.5 is none of them"),
+        (lambda one: plot.scene(one, replica="a"), "replica a is not one of 0 to 1"),
+        (lambda one: plot.flows(one, replica=0.5), "replica 0.5 is not one of 0 to 1"),
+        (lambda one: postproc.mean_error(one["chi"].values), "replica, not ndarray"),
+        (lambda _: postproc.merge(3), "file = 3: must be a path"),
+    ],
+)
+def test_a_wrong_argument_is_one_line(
+    folder: Path, ask: Callable[[xr.Dataset], object], said: str
+) -> None:
+    data = postproc.open_results(folder / "map.h5").sel(threshold=2, channel2_width=0.01)
+    with pytest.raises(InputError, match=said):
+        ask(data)
 
 
 @pytest.mark.parametrize(("high", "named"), [(0.1, 1), (0.05, 0)])
@@ -380,6 +401,7 @@ def test_series_come_with_a_part_of_the_dataset(folder: Path) -> None:
     one = postproc.residences(data.isel(replica=1).series)
     stays = postproc.residences(series)
     assert one["duration"].tolist() == stays[stays["replica"] == 1]["duration"].tolist()
+    assert set(postproc.residences(data.isel(replica=[1]).series)["replica"]) == {1}
     assert stays.groupby(["channel2_width", "replica"]).ngroups == 4
     ends = stays.groupby(["channel2_width", "replica"]).agg({"start": "min", "duration": "sum"})
     assert (ends["start"] + ends["duration"]).unique().tolist() == [100.0]

@@ -16,10 +16,11 @@ from selenium import webdriver
 from selenium.webdriver.common.action_chains import ActionChains
 from selenium.webdriver.support.ui import WebDriverWait
 
+from postproc.cli import InputError
 from postproc.figures import film
 from postproc.reading.groups import Snapshot, series_of
 from postproc.reading.points import means, remark
-from postproc.reporting import data, warn
+from postproc.reporting import data, report, warn
 from postproc.tests.commands import call
 from postproc.tests.runs import BARE, edited, leave_out, points_of, results_of
 from postproc.theory.circuit import Circuit
@@ -29,6 +30,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
 
+    import xarray as xr
     from selenium.webdriver.remote.webdriver import WebDriver
 
 FILMED = {"series_interval": 0.2, "snapshot_times": [0.5 * at for at in range(21)]}
@@ -71,6 +73,18 @@ def test_page_carries_everything(page: Path) -> None:
     assert "1 of 12 tasks have no results" in outside
     assert "N = 1000, w = 0.3, l = 1, chi at the start = 0" in outside
     assert len(text) < 3_000_000
+    assert "Namelist of this point" in text
+
+
+def test_merged_results_have_no_namelist_and_the_numbers_of_replicas_of_all_points(
+    tmp_path: Path,
+) -> None:
+    for count in (1, 2):
+        results_of(tmp_path / f"{count}.h5", scan={"threshold": count, "replicas": count},
+                   particles={"number": 20}, run={"duration": 5.0}, output=BARE)  # fmt: skip
+    text = report([tmp_path / "1.h5", tmp_path / "2.h5"], tmp_path / "page.html").read_text()
+    assert "Namelist" not in text.partition("<main>")[2].partition("</main>")[0]
+    assert "1 to 2 replicas" in text
 
 
 def test_columns_say_what_the_file_says(run_file: Path) -> None:
@@ -92,9 +106,22 @@ def test_columns_say_what_the_file_says(run_file: Path) -> None:
     assert np.nanmean(series["current"].reshape(6, 2, -1)[3, 1, 1:]) == pytest.approx(
         through, rel=0.1, abs=0.1
     )
-    text = data.namelist_of_point(results, scan)
-    point = f90nml.reads(text.replace("'@threshold@'", "8").replace("'@channel2_width@'", "0.05"))
-    assert point["scan"] == {"threshold": 8, "channel2_width": 0.05, "replicas": 2}
+    assert scan_of(results, 3) == {"threshold": 8, "channel2_width": 0.05, "replicas": 2}
+
+
+def scan_of(points: xr.Dataset, at: int) -> dict[str, object]:
+    """Return the group &scan of the namelist of a point, filled in as the page does."""
+    text, values = data.namelist_of_point(points)
+    filled = re.sub(r"'@(\w+)@'", lambda key: str(values[key[1]][at]), text)
+    return dict(f90nml.reads(filled)["scan"])
+
+
+def test_the_namelist_of_a_point_has_its_values_of_pairs(tmp_path: Path) -> None:
+    scan = {"threshold": [1, 2], "threshold2": [3, 2], "urn_radius": [1, 2], "urn_radius2": [1, 2]}
+    path = results_of(tmp_path / "pairs.h5", scan=scan, particles={"number": 20},
+                      run={"duration": 5.0}, output=BARE)  # fmt: skip
+    first = {"threshold": 1, "threshold2": 3, "urn_radius": 2.0, "urn_radius2": 2.0}
+    assert scan_of(points_of(path), 1) == {**first, "replicas": 2}
 
 
 @pytest.mark.parametrize(
@@ -199,8 +226,16 @@ def test_a_page_follows_a_dark_theme_and_its_replicas_fit_a_telephone(browser: W
 
 
 def test_report_of_the_single_urn(tmp_path: Path) -> None:
-    path = results_of(tmp_path / "urn.h5", table={"shape": "urn"}, scan={"threshold": [3, 9]})
+    """It says nothing of a second urn: no polarised current, no start, no transition."""
+    scan = {"threshold": [3, 9], "number": [50, 100]}
+    path = results_of(tmp_path / "urn.h5", table={"shape": "urn"}, scan=scan,
+                      particles={"number": None}, run={"duration": 100.0})  # fmt: skip
     assert call("report", [str(path), "--output", str(tmp_path)]) == 0
+    text = (tmp_path / "urn.html").read_text()
+    assert text.count("hits on the end wall, per unit time") == 3  # map, errors, series
+    for wrong in ("polarised current", "chi at the start", "start chi", "turns stable", "drift",
+                  "(N1 - N2)/N", "urn 1 to urn 2"):  # fmt: skip
+        assert wrong not in text, wrong
 
 
 def test_a_run_shorter_than_its_series_interval_has_a_page(tmp_path: Path) -> None:
@@ -366,6 +401,11 @@ def test_no_frame_shows_a_time_without_its_particles() -> None:
     close = film.frame_times(np.arange(0.0, 10.0, 0.5), 2.0)
     assert close.size == 2 * film.RATE
     assert np.diff(close) == pytest.approx(9.5 / (2 * film.RATE - 1))
+
+
+def test_a_film_is_of_the_kinds_that_are_documented(filmed: Path, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"f\.avi: a film is an \.mp4 or a \.gif"):
+        film.film(filmed, tmp_path / "f.avi", seconds=0.2)
 
 
 def test_film_needs_snapshots(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
