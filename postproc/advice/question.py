@@ -91,6 +91,8 @@ def circuit_of(namelist: str | Path | Groups) -> tuple[Groups, Circuit]:
             raise cli.InputError(f"{path}: &scan {key}: there is advice on one point only")
         groups.setdefault(group, {})[key] = value
     particles, gate = groups.get("particles", {}), dict(groups.get("gate", {}))
+    if particles.get("initial_file"):
+        raise cli.InputError(f"{path}: there is no advice on &particles initial_file")
     number = particles.get("number")
     if not isinstance(number, int) or number < 1:
         raise cli.InputError(f"{path}: &particles number is wanted, a whole number")
@@ -108,8 +110,10 @@ def circuit_of(namelist: str | Path | Groups) -> tuple[Groups, Circuit]:
         urn2_radius=other[0] if other else None, gate2_threshold=second[0] if second else None,
     )  # fmt: skip
     own = table_of(circuit)
-    if "urn1_number" in particles:
-        own["particles"]["urn1_number"] = particles["urn1_number"]
+    share = particles.get("urn1_fraction")
+    start = particles.get("urn1_number") if share is None else round(share * number)
+    if start is not None:
+        own["particles"]["urn1_number"] = start
     return own, circuit
 
 

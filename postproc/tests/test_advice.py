@@ -13,7 +13,7 @@ import pytest
 
 from postproc.advice import advice, transients
 from postproc.advice.advice import Outcome, Pilot
-from postproc.advice.question import advise
+from postproc.advice.question import advise, circuit_of
 from postproc.cli import InputError
 from postproc.tests.commands import call
 from postproc.theory.circuit import Circuit
@@ -93,6 +93,7 @@ def test_a_namelist_and_the_same_circuit_by_options(
         (CASE.replace("&table", "&table urn_sides = 8,"), "&table urn_sides"),
         (CASE.replace("replicas = 4", "threshold = 3, 4, 5"), "one point only"),
         (CASE.replace("number = 100", ""), "number is wanted"),
+        (CASE.replace("number = 100", "number = 100, initial_file = 'a'"), "initial_file"),
     ],
 )
 def test_what_there_is_no_advice_on(
@@ -110,6 +111,12 @@ def test_a_tolerance_or_time_that_is_not_allowed(name: str, value: object) -> No
     groups = {"particles": {"number": 100}, "gate": {"threshold": 2}}
     with pytest.raises(InputError, match=f"{name} = .*: must be a number from "):
         advise(groups, "chi", **{name: value})
+
+
+def test_advised_runs_start_as_the_namelist_says() -> None:
+    for key, value in (("urn1_number", 30), ("urn1_fraction", 0.3)):
+        groups, _ = circuit_of({"particles": {"number": 100, key: value}, "gate": {"threshold": 2}})
+        assert advice.start_of(groups, "chi") == 30
 
 
 def test_runs_have_the_error_that_was_wanted() -> None:
