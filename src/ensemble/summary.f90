@@ -143,6 +143,7 @@ contains
     real(dp), allocatable :: values(:, :)
     integer :: k
 
+    is_shown = .false.
     do k = 1, size(names)
       values = results%average(:, :, places(k))
       if (k > polarised_current .and. any(is_shown(:polarised_current))) &
