@@ -101,14 +101,14 @@ def main(arguments: list[str] | None = None) -> int:
     cli.add_output(options)
     given = options.parse_args(arguments)
     name = LABELS.get(given.name, given.name)
+    if given.snapshot is not None and name != "scene":
+        raise cli.InputError(f"--snapshot is for figure scene, not {given.name}; "
+                             "--select KEY=VALUE chooses points")  # fmt: skip
     if not given.files:
         if name not in WITHOUT_FILE:
             raise cli.InputError(f"figure {given.name} needs at least one file of results")
         style.save(FIGURES[name](), given.output, given.name)
         return 0
-    if given.snapshot is not None and name != "scene":
-        raise cli.InputError(f"--snapshot is for figure scene, not {given.name}; "
-                             "--select KEY=VALUE chooses points")  # fmt: skip
     data = dataset_of(given.files, verify=given.verify)
     points = by_point(selected(data, dict(given.select)))
     task_of(points, given.point, given.replica)
