@@ -182,7 +182,7 @@ def test_a_chosen_point_or_replica_is_all_that_a_figure_shows(
 def test_lifetimes_of_other_widths_and_thresholds_are_told_apart(
     folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """By the table and the panels of the command; one pair of axes shows one of each."""
+    """By the table and the panels of the command."""
     data = postproc.open_results(folder / "map.h5")
     figure = passages.figure_lifetimes(by_point(data), [MODELS["window"]])
     head, *lines = capsys.readouterr().out.splitlines()
@@ -192,10 +192,18 @@ def test_lifetimes_of_other_widths_and_thresholds_are_told_apart(
         f"$T = {threshold}$, $l = 1$, $w' = {width}$"
         for threshold in (2, 4, 40) for width in (0.01, 0.05)
     ]  # fmt: skip
-    for part, choice in (({"threshold": 2}, "channel2_width=0.01"),
-                         ({"channel2_width": 0.01}, "threshold=2")):  # fmt: skip
-        with pytest.raises(InputError, match=rf"data.sel\({choice}\)"):
-            plot.lifetimes(data.sel(part), ax=Figure().add_subplot(), theory="window")
+
+
+@pytest.mark.parametrize(
+    ("part", "choice"),
+    [({"threshold": 2}, "channel2_width=0.01"), ({"channel2_width": 0.01}, "threshold=2")],
+)
+def test_lifetimes_in_axes_of_ones_own_are_of_one_width_and_threshold(
+    folder: Path, part: dict[str, float], choice: str
+) -> None:
+    data = postproc.open_results(folder / "map.h5").sel(part)
+    with pytest.raises(InputError, match=rf"data.sel\({choice}\)"):
+        plot.lifetimes(data, ax=Figure().add_subplot(), theory="window")
 
 
 def test_runs_from_two_starts_have_two_labels(tmp_path: Path) -> None:
