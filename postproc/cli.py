@@ -101,7 +101,7 @@ def add_task(options: argparse.ArgumentParser) -> None:
     """Add `--verify`, and `--point` and `--replica` that choose a task."""
     add_verify(options)
     for key, meaning in (("point", "parameter point"), ("replica", "replica")):
-        help_text = f"{meaning}, from 0 (default: the first done)"
+        help_text = f"{meaning}, from 0 (default: the first done, or all of a mean)"
         options.add_argument(f"--{key}", type=allowed(int, 0), help=help_text)
 
 

@@ -14,7 +14,7 @@ from postproc.figures import circuits, currents, maps, passages
 from postproc.figures import scene as scenes
 from postproc.figures.theories import asked
 from postproc.reading.groups import series_of, snapshot_of
-from postproc.reading.points import by_point, need_only, task_of, with_tasks
+from postproc.reading.points import by_point, groups, need_only, task_of, with_tasks
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -121,7 +121,7 @@ def relaxation(
     Returns
     -------
     list of matplotlib.lines.Line2D
-        The mean of each point.
+        The mean of each point; the first replica of one whose replicas are in two states.
     """
     points = circuits.few_points(by_point(data))
     return circuits.draw_relaxation(_axes(ax), points, asked(points, theory), variable)
@@ -203,8 +203,8 @@ def lifetimes(
     Parameters
     ----------
     data
-        Results of `open_results` or `merge`, or a part of them, with series: first passages of the
-        replicas are measured, drawn as marks.
+        Results of `open_results` or `merge`, or a part of them, with series, of one l and w' and
+        one T at each N: first passages of the replicas are measured, drawn as marks.
     ax
         Axes to draw into; None: the current ones of pyplot.
     theory
@@ -216,6 +216,9 @@ def lifetimes(
         One for each state from which runs began.
     """
     points = with_tasks(by_point(data))
+    need_only(points, "number", "start")
+    for _, part in groups(points, "number"):  # T may change with N alone
+        need_only(part, "start")
     return passages.draw_lifetimes(_axes(ax), passages.measured(points), asked(points, theory))
 
 

@@ -16,13 +16,15 @@ urn_current, urn_difference, urn_scaled
                 current of the single urn against T/N, its relative difference from theory, both
                 divided by N (app2, app3, app4)
 
-A figure shows each point that it is given, or refuses; --select KEY=VALUE chooses. Theories are
-drawn by name (--theory NAME ...): those of `theory --theory`.
+A figure shows each point that it is given, or refuses; --select KEY=VALUE and --point choose, and
+--replica takes one replica of each point. Theories are drawn by name (--theory NAME ...): those of
+`theory --theory`.
 """
 
 from __future__ import annotations
 
 import argparse
+import sys
 from inspect import signature
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -76,6 +78,7 @@ LABELS = {
     "app4": "urn_scaled",
 }  # fmt: skip
 WITHOUT_FILE = ("circuit", "urn")
+OF_MEANS = ("phase_diagram", "curves", "characteristic")
 ONE_POINT = ("scene", *WITHOUT_FILE)
 ANY_SHAPE = ("circuit", "scene", "flows")
 
@@ -98,23 +101,36 @@ def main(arguments: list[str] | None = None) -> int:
     cli.add_output(options)
     given = options.parse_args(arguments)
     name = LABELS.get(given.name, given.name)
+    if given.snapshot is not None and name != "scene":
+        raise cli.InputError(f"--snapshot is for figure scene, not {given.name}; "
+                             "--select KEY=VALUE chooses points")  # fmt: skip
     if not given.files:
         if name not in WITHOUT_FILE:
             raise cli.InputError(f"figure {given.name} needs at least one file of results")
         style.save(FIGURES[name](), given.output, given.name)
         return 0
     data = dataset_of(given.files, verify=given.verify)
-    points = with_tasks(by_point(selected(data, dict(given.select))))
+    points = by_point(selected(data, dict(given.select)))
+    task_of(points, given.point, given.replica)
+    # A task that was chosen is all that there is, for any figure.
+    chosen = {key: vars(given)[key] for key in ("point", "replica") if vars(given)[key] is not None}
+    points = with_tasks(points.isel({key: [value] for key, value in chosen.items()}))
     shape = str(points.attrs.get("shape", "circuit"))
     if (shape == "urn") != name.startswith("urn") and name not in ANY_SHAPE:
         raise cli.InputError(f"{files_of(points)}: a run of shape '{shape}', not of "
                              f"figure {given.name}")  # fmt: skip
     made = _drawn(name, points, given)
-    style.note(made.axes[0], remark(points))
+    hidden = int(points["two_states"].sum()) if name in OF_MEANS else 0
+    left_out = f"in two states, not shown: {hidden} of {points.sizes['point']} points"
+    notes = [remark(points), left_out if hidden else ""]
+    style.note(made.axes[0], "; ".join(filter(None, notes)))
     say_if_partial(points)
-    task = [(key, vars(given)[key]) for key in ("point", "replica", "snapshot")]
-    chosen = [f"{key}={value:.15g}" for key, value in [*given.select, *task] if value is not None]
-    style.save(made, given.output, "_".join([given.files[0].stem, given.name, *chosen]))
+    if hidden:
+        print(f"{files_of(points)}: {left_out}", file=sys.stderr)
+    if given.snapshot is not None:
+        chosen["snapshot"] = given.snapshot
+    told = [f"{key}={value:.15g}" for key, value in [*given.select, *chosen.items()]]
+    style.save(made, given.output, "_".join([given.files[0].stem, given.name, *told]))
     return 0
 
 
@@ -123,15 +139,11 @@ def _drawn(name: str, points: xr.Dataset, given: argparse.Namespace) -> Figure:
     draw = FIGURES[name]
     words = signature(draw).parameters
     more: dict[str, object] = {}
-    if name in ONE_POINT and given.point is None:
+    if name in ONE_POINT:
         need_only(points)
     if given.theory and "models" in words:
         more["models"] = asked(points, given.theory)
-    if "task" in words:
-        task = task_of(points, given.point, given.replica)
-        chosen = (given.point, given.replica) != (None, None) or name in ONE_POINT
-        more |= {"task": task if chosen else None}
-    if "snapshot" in words and given.snapshot is not None:
+    if given.snapshot is not None:
         more["snapshot"] = given.snapshot
     return draw(points, **more)
 

@@ -46,6 +46,7 @@ BRANCHES = ("chi", "polarised_current")  # what theories have, of a state
 WHOLE = (*THRESHOLDS, "number")  # keys between whose values there is nothing
 THEORY_MARKS = ("x", "+", "1")
 PLACES = 60  # of a fast theory along another key
+JUMP = 0.3  # change of chi between two of these that is no continuous one
 EARLY = 3000.0  # time within which the transient battery at T = 2 decays
 
 
@@ -63,22 +64,17 @@ def few_points(points: xr.Dataset) -> xr.Dataset:
 def title(points: xr.Dataset, at: int) -> str:
     """Return what distinguishes a point: the keys of the scan, or N, T, w and w'."""
     names = [name for name in keys_of(points) if name not in STARTS]
+    names += ["start"] if np.unique(points["start"]).size > 1 else []
     names = names or ["number", "threshold", "channel1_width", "channel2_width"]
     return ", ".join(equals(name, float(points[name][at])) for name in names)
 
 
 @style.settings()
-def figure_flows(
-    points: xr.Dataset, models: Sequence[Model] = (), task: tuple[int, int] | None = None
-) -> Figure:
+def figure_flows(points: xr.Dataset, models: Sequence[Model] = ()) -> Figure:
     """Return flows and net currents against time, a panel for each point by T, eta below.
 
-    Of the first replica, or of one task. Circuits beyond the theories and the single urn are drawn
-    alone.
+    Of the first complete replica. Circuits beyond the theories and the single urn are drawn alone.
     """
-    chosen = None
-    if task is not None:
-        points, chosen = points.isel(point=[task[0]]), task[1]
     points = few_points(points)
     circuits, starts = points["circuit"].values, starts_of(points)
     count = len(circuits)
@@ -90,7 +86,7 @@ def figure_flows(
     cells = made.add_gridspec(1 + bool(models), count, height_ratios=(2.0, 1.0)[: 1 + bool(models)])
     for at, circuit in enumerate(circuits):
         first = int(points["complete"].values[at].argmax())
-        (series,) = series_of(points, at, first if chosen is None else chosen)
+        (series,) = series_of(points, at, first)
         panels = draw_currents(made, cells[0, at], circuit, series, models, starts[at])
         panels[0].set_title(f"({chr(97 + at)})  {title(points, at)}" if count > 1
                             else title(points, at))  # fmt: skip
@@ -167,7 +163,10 @@ MARGIN = 0.03  # of the axis of chi, for lines at its ends
 def draw_relaxation(
     axes: Axes, points: xr.Dataset, models: Sequence[Model], quantity: str, end: float = np.inf
 ) -> list[Line2D]:
-    """Draw a quantity of each point against time up to `end`; return the lines of the means."""
+    """Draw a quantity of each point against time up to `end`; return the lines of the means.
+
+    Replicas in two states have no mean: each is a line, of which the first is returned.
+    """
     if quantity not in QUANTITIES:
         raise InputError(
             f"against time there is no {quantity!r}; there are {', '.join(QUANTITIES)}"
@@ -185,8 +184,12 @@ def draw_relaxation(
         middle = min((middle[middle <= last] for middle, _ in found), key=len)
         band = np.array([np.interp(middle, *one) for one in found])
         mean, deviation = band.mean(axis=0), band.std(axis=0, ddof=min(len(band) - 1, 1))
-        lines += axes.plot(middle, mean, color=colour, lw=1.1, label=title(points, at))
-        if len(band) > 1:
+        apart = bool(points["two_states"][at])
+        shown = band if apart else [mean]
+        first, *_ = axes.plot(middle, np.transpose(shown), color=colour, lw=1.1 / len(shown) ** 0.5)
+        first.set_label(title(points, at) + (", replicas in two states" if apart else ""))
+        lines.append(first)
+        if len(shown) < len(band):
             ends = np.clip([mean - deviation, mean + deviation], *possible)
             axes.fill_between(middle, *ends, color=colour, alpha=0.25, lw=0)
         for model in models:
@@ -226,6 +229,7 @@ def draw_curves(
     T/N is that of the whole T with which a fraction was run.
     """
     across, other = across_of(points)
+    axes.set_ylabel(values_of(points, quantity)[1])
     as_share = across == "threshold_fraction" or (
         across == "threshold" and np.unique(points["number"]).size == 1
     )
@@ -250,7 +254,6 @@ def draw_curves(
         axes.errorbar([], [], **_theory_entry(model, [one.lines[0] for one in drawn]), **look)
     axes.set_xlabel(values_of(points, against)[1] if against
                     else "$T/N$" if as_share else SYMBOLS.get(across, across))  # fmt: skip
-    axes.set_ylabel(values_of(points, quantity)[1])
     axes.xaxis.set_major_locator(MaxNLocator(5))
     if across == "number" and not against:
         style.ticks_at(axes, points["number"].values.tolist())
@@ -296,7 +299,12 @@ def _branch(group: xr.Dataset, model: Model, across: str) -> dict[str, Floats]:
         value = int(place) if name in WHOLE else place
         found = model.reached(replace(circuits[at], **{name: value}), starts[at])
         states.append((math.nan,) * 2 if found is None else (found.mass_spread, found.net_current))
-    return {"x": places, **dict(zip(BRANCHES, np.reshape(states, (-1, 2)).T, strict=True))}
+    branches = np.reshape(states, (-1, 2))
+    # No line leads from one kind of state to the other.
+    jumps = np.flatnonzero((np.abs(np.diff(branches[:, 0])) > JUMP) & (name not in WHOLE)) + 1
+    places = np.insert(places * 1.0, jumps, 0.5 * (places[jumps - 1] + places[jumps]))
+    branches = np.insert(branches, jumps, math.nan, axis=0)
+    return {"x": places, **dict(zip(BRANCHES, branches.T, strict=True))}
 
 
 @style.settings()
@@ -326,6 +334,7 @@ def draw_characteristic(axes: Axes, points: xr.Dataset, models: Sequence[Model])
     alike(points)
     across = WIDTH if WIDTH in keys_of(points) else across_of(points)[0]
     need_only(points, across)
+    values_of(points, "polarised_current")
     points = points.sortby(across)
     current, error = means(points, "polarised_current")
     voltage, deviation = voltage_of(*means(points, "chi"))

@@ -9,6 +9,7 @@ import numpy as np
 from postproc.figures import style
 from postproc.figures.scene import counted_by, draw_table, ways
 from postproc.reading.groups import Snapshot, snapshot_of
+from postproc.reading.points import task_of
 from postproc.theory.circuit import Circuit
 
 if TYPE_CHECKING:
@@ -51,21 +52,22 @@ def _measure(
         axes.text(middle, level - 0.05, text, ha="center", va="top")
 
 
-def figure_circuit(points: xr.Dataset | None = None, task: tuple[int, int] = (0, 0)) -> Figure:
-    """Return the table, with some particles of a task's first snapshot if there are points."""
-    return _figure(EXAMPLE, points, task)
+def figure_circuit(points: xr.Dataset | None = None) -> Figure:
+    """Return the table, with some particles of the first complete task's first snapshot, if any."""
+    return _figure(EXAMPLE, points)
 
 
-def figure_urn(points: xr.Dataset | None = None, task: tuple[int, int] = (0, 0)) -> Figure:
+def figure_urn(points: xr.Dataset | None = None) -> Figure:
     """Return the single urn of the appendix, with its gate and its end wall."""
-    return _figure(URN, points, task)
+    return _figure(URN, points)
 
 
 @style.settings()
-def _figure(circuit: Circuit, points: xr.Dataset | None, task: tuple[int, int]) -> Figure:
+def _figure(circuit: Circuit, points: xr.Dataset | None) -> Figure:
     if points is None:
         snapshot, said = example_snapshot(circuit), ""
     else:
+        task = task_of(points, None, None)
         circuit, full = points["circuit"].values[task[0]], snapshot_of(points, *task, 0)
         step = -(-full.x.size // SHOWN)
         parts = [part[::step] for part in (full.x, full.y, full.ux, full.uy)]

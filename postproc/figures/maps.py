@@ -11,7 +11,7 @@ from matplotlib.ticker import MaxNLocator
 from postproc import cli
 from postproc.figures import style
 from postproc.figures.theories import default
-from postproc.reading.points import groups, keys_of, means, need_only
+from postproc.reading.points import files_of, groups, keys_of, means, need_only
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -35,7 +35,7 @@ WIDTH = "channel2_width"
 SYMBOLS = {
     "number": "$N$", "threshold": "$T$", "threshold_fraction": "$T/N$", "channel1_width": "$w$",
     "channel1_length": r"$\ell$", "channel2_width": "$w'$", "channel2_length": r"$\ell'$",
-    "urn_radius": "$r$",
+    "urn_radius": "$r$", "start": r"$\chi(0)$",
 }  # fmt: skip
 LOOKS = {
     "chi": (r"mass spread $\chi$", {"vmin": 0.0, "vmax": 1.0, "cmap": "viridis"}),
@@ -100,7 +100,7 @@ def edges(centres: Floats) -> Floats:
 
 def by_start(points: xr.Dataset) -> list[tuple[str, xr.Dataset]]:
     """Return the points of each chi(0), by increasing chi(0), with a title."""
-    return [(rf"$\chi(0) = {one['start']:.3g}$", part) for one, part in groups(points, "start")]
+    return [(equals("start", one["start"]), part) for one, part in groups(points, "start")]
 
 
 def transition_lines(points: xr.Dataset, models: Sequence[Model]) -> list[Line]:
@@ -168,12 +168,21 @@ def draw_lines(axes: Axes, lines: Sequence[Line], marks: Floats) -> None:
 
 
 def values_of(points: xr.Dataset, name: str) -> tuple[Floats, str, dict[str, object]]:
-    """Return means over replicas of a variable, a label, and the look of their map."""
+    """Return means over replicas of a variable, a label, and the look of their map.
+
+    Raises `InputError` if there is no such variable, or no point has a mean.
+    """
     if name not in LOOKS and not (name in points and "replica" in points[name].dims):
         raise cli.InputError(f"there is no variable {name!r} of runs to draw, such as chi")
     about = points[name].attrs if name in points else {}
     label, look = LOOKS.get(name, (about.get("long_name", name), {}))
-    return means(points, name)[0], label, dict(look)
+    values = means(points, name)[0]
+    if not np.isfinite(values).any():
+        raise cli.InputError(
+            f"{files_of(points)}: no point has a mean of {name!r}, without channel 2 or in two "
+            "states; plot.curves(data, variable='chi') shows chi"
+        )
+    return values, label, dict(look)
 
 
 @style.settings()

@@ -17,6 +17,7 @@ from scipy import stats
 
 from postproc.cli import InputError
 from postproc.figures import style
+from postproc.figures.maps import WIDTH, equals
 from postproc.figures.theories import default
 from postproc.reading.groups import each_series
 from postproc.reading.points import alike, files_of, need_only
@@ -37,6 +38,8 @@ LOW, HIGH = 0.2, 0.7  # chi at which the polarised, the homogeneous state has be
 MIDDLE = 0.5  # starts with chi above this are polarised
 BOUND = 3.0  # without a passage the lifetime exceeds a third of the time, at 95 %
 CONFIDENCE = 0.6827  # of the intervals drawn
+COLUMNS = (2, 4, 6, 5, 11, 7, 9)  # widths in the table
+PANEL = ("threshold", "channel1_length", WIDTH)  # what is one in a panel
 DRAWN = (3e2, 1e10)  # range of lifetimes in the figure, length/v
 
 
@@ -130,7 +133,8 @@ def measured(points: xr.Dataset) -> list[Lifetime]:
 
 def table(found: Sequence[Lifetime], models: Sequence[Model]) -> str:
     """Return the lifetimes and those of the chains as text, a line for each point."""
-    head = f"{'T':>2s} {'l':>4s} {'N':>5s} {'from':>11s} {'left':>7s} {'lifetime':>9s} "
+    names = zip(("T", "l", "w'", "N", "from", "left", "lifetime"), COLUMNS, strict=True)
+    head = " ".join(f"{name:>{width}s}" for name, width in names) + " "
     lines = [head + f"{'68 %':>21s}" + "".join(f"  {model.label}" for model in models)]
     for one in found:
         circuit = one.circuit
@@ -140,7 +144,8 @@ def table(found: Sequence[Lifetime], models: Sequence[Model]) -> str:
             f"  {_short(one.of_chain(model)):>{len(model.label)}s}" for model in models
         )
         lines.append(
-            f"{circuit.threshold:2d} {circuit.channel1_length:4g} {circuit.number:5d} "
+            f"{circuit.threshold:2d} {circuit.channel1_length:4g} "
+            f"{circuit.channel2_width:6g} {circuit.number:5d} "
             f"{'polarised' if one.polarised else 'homogeneous':>11s} {left:>7s} "
             f"{_short(one.time):>9s} {error:>21s}{chains}"
         )
@@ -154,19 +159,21 @@ def _short(time: float) -> str:
 
 @style.settings()
 def figure_lifetimes(points: xr.Dataset, models: Sequence[Model] = ()) -> Figure:
-    """Return lifetimes against N, a panel for each T and l: marks measured, lines the chains."""
+    """Return lifetimes against N, a panel for each T, l and w': marks measured, lines chains."""
     found = measured(points)
     models = models or default(points)
     print(table(found, models))
-    panels: dict[tuple[int, float], list[Lifetime]] = {}
+    panels: dict[tuple[float, ...], list[Lifetime]] = {}
     for one in found:
-        key = (int(one.circuit.threshold), float(one.circuit.channel1_length))
+        key = tuple(float(getattr(one.circuit, name)) for name in PANEL)
         panels.setdefault(key, []).append(one)
+    several = len({key[2] for key in panels}) > 1
     made = style.figure(max(2.6 * len(panels), 4.6), 3.7)
     axes = made.subplots(1, len(panels), squeeze=False, sharey=True)[0]
     for one, (key, group) in zip(axes, sorted(panels.items()), strict=True):
         draw_lifetimes(one, group, models)
-        one.set_title(f"$T = {key[0]}$, $l = {key[1]:g}$")
+        width = f", {equals(WIDTH, key[2])}" if several else ""
+        one.set_title(f"$T = {key[0]:g}$, $l = {key[1]:g}${width}")
         one.label_outer()
     style.legend_above(made, *axes[0].get_legend_handles_labels(), 3)
     return made
@@ -175,7 +182,7 @@ def figure_lifetimes(points: xr.Dataset, models: Sequence[Model] = ()) -> Figure
 def draw_lifetimes(
     axes: Axes, group: Sequence[Lifetime], models: Sequence[Model]
 ) -> list[ErrorbarContainer]:
-    """Draw lifetimes of one T and l against N; return what was measured."""
+    """Draw lifetimes of one T, l and w' against N; return what was measured."""
     drawn = []
     states = ((False, "s", style.BLUE, "homogeneous"), (True, "o", style.VERMILION, "polarised"))
     for row, (polarised, mark, colour, name) in enumerate(states):
@@ -220,17 +227,13 @@ def _draw_chains(
     """Draw the chains of a state, of one N from edge to edge; return which are above the axis."""
     beyond = []
     for model in models:
-        times = {}
-        for one in part:
-            at_width = times.setdefault(float(one.circuit.channel2_width), {})
-            at_width[one.number] = one.of_chain(model)
+        times = {one.number: one.of_chain(model) for one in part}
         look = {"color": colour, "ls": model.dashes, "lw": 0.9}
-        for line in times.values():
-            if len(line) > 1:
-                axes.plot([*line], [*line.values()], **look)
-            else:
-                axes.axhline(*line.values(), **look)
-        if all(one > DRAWN[1] for line in times.values() for one in line.values()):
+        if len(times) > 1:
+            axes.plot([*times], [*times.values()], **look)
+        else:
+            axes.axhline(*times.values(), **look)
+        if all(one > DRAWN[1] for one in times.values()):
             beyond.append(model.label)
     return beyond
 

@@ -10,6 +10,7 @@ from matplotlib.patches import Circle, Rectangle
 
 from postproc.figures import style
 from postproc.reading.groups import snapshot_of
+from postproc.reading.points import task_of
 from postproc.theory import outlines
 
 if TYPE_CHECKING:
@@ -205,8 +206,9 @@ def _count_text(circuit: Circuit, snapshot: Snapshot) -> list[str]:
     ]
 
 
-def figure_scene(points: xr.Dataset, task: tuple[int, int], snapshot: int = -1) -> Figure:
-    """Return the picture of a snapshot of a task: the whole table, and channel 1 enlarged."""
+def figure_scene(points: xr.Dataset, snapshot: int = -1) -> Figure:
+    """Return a snapshot of the first complete task: the whole table, and channel 1 enlarged."""
+    task = task_of(points, None, None)
     return picture_of(points["circuit"].values[task[0]], snapshot_of(points, *task, snapshot))
 
 

@@ -133,6 +133,29 @@ def test_unusual_results_have_an_answer(
         assert_answered([*reader, str(file)], capsys)
 
 
+@pytest.mark.usefixtures("unwritten")
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        *((f"{name} map.h5 --snapshot 1", f"--snapshot is for figure scene, not {name}")
+          for name in FIGURES if name != "scene"),
+        ("circuit --snapshot 1", "--snapshot is for figure scene, not circuit"),
+        ("phase_diagram map.h5 --point 1", "a map needs two keys other than the start"),
+        ("curves map.h5 --point 4", "point 4 is not one of 0 to 3"),
+        ("curves closed.h5", "no point has a mean of 'polarised_current'"),
+        ("characteristic closed.h5", "no point has a mean of 'polarised_current'"),
+    ],
+)  # fmt: skip
+def test_what_a_figure_cannot_show_is_refused_in_one_line(
+    odd: Path, words: str, said: str, capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:  # fmt: skip
+    monkeypatch.chdir(odd)
+    assert call("plot", [*words.split(), WINDOW]) == 2
+    told = capsys.readouterr().err
+    assert (told.count("\n"), said in told) == (1, True), told
+
+
 @pytest.mark.parametrize(
     "command",
     [

@@ -69,7 +69,9 @@ def test_flows_of_the_single_urn_are_drawn_alone(tmp_path: Path) -> None:
 
 def test_currents_show_the_series_the_theory_and_eta(run_file: Path) -> None:
     results = points_of(run_file)
-    made = circuits.figure_flows(results, theories.named(["window", "renewal"]), (0, 1))
+    made = circuits.figure_flows(
+        results.isel(point=[0], replica=[1]), theories.named(["window", "renewal"])
+    )
     (series,), circuit = series_of(results, 0, 1), results["circuit"].values[0]
     *panels, balance = made.axes
     assert panels[0].get_title("left") == "$N = 1000$, $T = 7$, $w = 0.3$, $w' = 0.01$"
@@ -114,7 +116,7 @@ def test_currents_show_the_series_the_theory_and_eta(run_file: Path) -> None:
 
 def test_theory_has_the_colour_of_what_it_is_meant_for(run_file: Path) -> None:
     results = points_of(run_file)
-    made = circuits.figure_flows(results, theories.named(["window"]), (0, 1))
+    made = circuits.figure_flows(results.isel(point=[0], replica=[1]), theories.named(["window"]))
     circuit, (series,) = results["circuit"].values[0], series_of(results, 0, 1)
     second = theories.MODELS["window"].reached(circuit, 1000.0).urn2_number
     if currents.settled_number2(circuit, series) < 500.0:

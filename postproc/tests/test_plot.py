@@ -19,11 +19,14 @@ from matplotlib.collections import PathCollection, QuadMesh
 from matplotlib.container import ErrorbarContainer
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+from matplotlib.text import Text
 
 import postproc
 from postproc import InputError, plot
-from postproc.figures import circuits, maps
+from postproc.commands import plot as commands
+from postproc.figures import circuits, maps, passages
 from postproc.reading import results_file
+from postproc.reading.points import by_point
 from postproc.reporting import data as columns_of
 from postproc.tests.commands import call
 from postproc.tests.runs import BARE, edited, leave_out, points_of, results_of
@@ -130,6 +133,135 @@ def test_a_map_is_of_two_keys_and_has_the_lines_that_are_asked_for(
     assert plot.phase_diagram(other, ax=Figure().add_subplot()).get_array().count() == 4
     with pytest.raises(InputError, match="theories have lines over threshold and channel2_width"):
         plot.phase_diagram(other, ax=Figure().add_subplot(), theory="window")
+
+
+@pytest.fixture
+def made(monkeypatch: pytest.MonkeyPatch) -> list[Figure]:
+    """Give the pictures that commands make, none of which is written."""
+    kept: list[Figure] = []
+    monkeypatch.setattr("postproc.figures.style.save", lambda one, *_: kept.append(one))
+    return kept
+
+
+def shown(figure: Figure) -> list[list[float]]:
+    """Return what lines and maps of a figure show."""
+    values = [line.get_xydata() for axes in figure.axes for line in axes.lines]
+    values += [one.get_array().filled(math.nan) for axes in figure.axes for one in axes.collections
+               if isinstance(one, QuadMesh)]  # fmt: skip
+    return [np.nan_to_num(np.ravel(one), nan=-1.0).tolist() for one in values]
+
+
+@pytest.mark.parametrize(
+    ("name", "words", "part"),
+    [
+        ("flows", "--replica=1 --select channel2_width=0.01", {"channel2_width": [0]}),
+        ("flows", "--point=3", {"threshold": [1], "channel2_width": [1]}),
+        ("relaxation", "--replica=1 --select channel2_width=0.01", {"channel2_width": [0]}),
+        ("relaxation", "--point=3", {"threshold": [1], "channel2_width": [1]}),
+        ("curves", "--replica=1", {}),
+        ("curves", "--point=3", {"threshold": [1], "channel2_width": [1]}),
+        ("characteristic", "--point=3", {"threshold": [1], "channel2_width": [1]}),
+        ("phase_diagram", "--replica=1", {}),
+        ("lifetimes", "--point=3", {"threshold": [1], "channel2_width": [1]}),
+        ("lifetimes", "--replica=1", {}),
+    ],
+)
+def test_a_chosen_point_or_replica_is_all_that_a_figure_shows(
+    folder: Path, made: list[Figure], name: str, words: str, part: dict[str, list[int]]
+) -> None:
+    path = folder / "map.h5"
+    assert call("plot", [name, str(path), *words.split(), "--theory", "window"]) == 0
+    places = {**part, **({"replica": [1]} if "--replica" in words else {})}
+    points = by_point(postproc.open_results(path).isel(places))
+    alone = commands.FIGURES[name](points, [MODELS["window"]])
+    assert shown(made[0]) == shown(alone)
+    if name == "flows":
+        titles = [axes.get_title("left") for axes in made[0].axes]
+        assert sum(map(bool, titles)) == points.sizes["point"]
+
+
+def test_lifetimes_of_other_widths_and_thresholds_are_told_apart(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """By the table and the panels of the command."""
+    data = postproc.open_results(folder / "map.h5")
+    figure = passages.figure_lifetimes(by_point(data), [MODELS["window"]])
+    head, *lines = capsys.readouterr().out.splitlines()
+    at = head.split().index("w'")
+    assert [line.split()[at] for line in lines] == ["0.01", "0.05"] * 3
+    assert [axes.get_title("left") for axes in figure.axes] == [
+        f"$T = {threshold}$, $l = 1$, $w' = {width}$"
+        for threshold in (2, 4, 40) for width in (0.01, 0.05)
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("part", "choice"),
+    [({"threshold": 2}, "channel2_width=0.01"), ({"channel2_width": 0.01}, "threshold=2")],
+)
+def test_lifetimes_in_axes_of_ones_own_are_of_one_width_and_threshold(
+    folder: Path, part: dict[str, float], choice: str
+) -> None:
+    data = postproc.open_results(folder / "map.h5").sel(part)
+    with pytest.raises(InputError, match=rf"data.sel\({choice}\)"):
+        plot.lifetimes(data, ax=Figure().add_subplot(), theory="window")
+
+
+def test_runs_from_two_starts_have_two_labels(tmp_path: Path) -> None:
+    scan = {"urn1_fraction": [0.5, 1.0], "threshold": 2, "replicas": 1}
+    path = results_of(tmp_path / "starts.h5", scan=scan, **SMALL)
+    labels = [r"$\chi(0) = 0$", r"$\chi(0) = 1$"]
+    lines = plot.relaxation(postproc.open_results(path), ax=Figure().add_subplot())
+    assert [line.get_label() for line in lines] == labels
+    assert [circuits.title(points_of(path), at) for at in (0, 1)] == labels
+
+
+@pytest.mark.parametrize("name", ["curves", "phase_diagram"])
+def test_points_in_two_states_are_said_to_be_left_out(
+    folder: Path, tmp_path: Path, made: list[Figure], name: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = in_two_states(folder, tmp_path)
+    assert call("plot", [name, str(path), "--theory", "window"]) == 0
+    said = "in two states, not shown: 1 of 6 points"
+    assert capsys.readouterr().err == f"{path}: {said}\n"
+    assert said in [text.get_text() for text in made[0].findobj(Text)]
+
+
+def test_replicas_in_two_states_relax_each_on_its_own(folder: Path, tmp_path: Path) -> None:
+    """Their mean is no state; a point in one state has its mean and the band about it."""
+    data = postproc.open_results(in_two_states(folder, tmp_path)).sel(threshold=4)
+    axes = Figure().add_subplot()
+    two, one = plot.relaxation(data, ax=axes, variable="chi")
+    assert "replicas in two states" in two.get_label()
+    assert "replicas" not in one.get_label()
+    drawn = [line for line in axes.lines if line.get_color() == two.get_color()]
+    last = np.abs(1.0 - 2.0 * data.series["urn1_number"][0, :, -1] / 200.0)
+    assert [line.get_ydata()[-1] for line in drawn] == pytest.approx(last.values, abs=0.1)
+    assert len(axes.collections) == 1
+
+
+def in_two_states(folder: Path, into: Path) -> Path:
+    """Return a copy of the map whose third point is in two states."""
+    path = Path(shutil.copy(folder / "map.h5", into / "two.h5"))
+    with edited(path) as file:
+        file["point_status"] = np.array([0, 0, 2, 0, 0, 0], dtype="i4")
+        file["point_status"].dims[0].attach_scale(file["point"])
+    return path
+
+
+def test_a_line_of_theory_is_broken_where_chi_jumps(tmp_path: Path) -> None:
+    scan = {"channel2_width": [0.01, 0.05], "threshold": 2, "replicas": 1}
+    path = results_of(tmp_path / "jump.h5", scan=scan, run={"duration": 20.0}, output=BARE,
+                      particles={"urn1_number": 1000})  # fmt: skip
+    axes = Figure().add_subplot()
+    plot.curves(postproc.open_results(path), ax=axes, variable="chi", theory="window")
+    (line,) = (one for one in axes.lines if one.get_linestyle() == "--" and len(one.get_xdata()))
+    width, chi = line.get_data()
+    (gap,) = np.flatnonzero(np.isnan(chi))
+    assert chi[gap - 1] > 0.8
+    assert chi[gap + 1] == 0.0
+    assert np.all(np.diff(width) > 0.0)
+    assert np.nanmax(np.abs(np.diff(chi))) < circuits.JUMP
 
 
 def test_between_the_points_of_a_width_a_theory_is_computed(folder: Path) -> None:

@@ -47,8 +47,8 @@ def pictures(file: Path, folder: Path) -> dict[str, bytes]:
     points = points_of(file)
     made = {
         "map": maps.figure_phase_diagram(points, window),
-        "flows": circuits.figure_flows(points, window, (0, 0)),
-        "scene": scene.figure_scene(points, (0, 0)),
+        "flows": circuits.figure_flows(points.isel(point=[0]), window),
+        "scene": scene.figure_scene(points),
     }
     film.write(film.read_scenes(points, 0, 0), 0.2, folder / "film.gif")
     style.note(made["scene"].axes[0], "partial run")
