@@ -91,8 +91,6 @@ def curves(
         One for each value of the second key.
     """
     points = with_tasks(by_point(data))
-    for name in (variable, against or variable):
-        maps.values_of(points, name)  # refuses what is no variable of runs
     drawn = asked(points, theory)
     return circuits.draw_curves(_axes(ax), points, drawn, variable, against)
 

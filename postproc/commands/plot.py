@@ -115,6 +115,7 @@ def main(arguments: list[str] | None = None) -> int:
     # A task that was chosen is all that there is, for any figure.
     chosen = {key: vars(given)[key] for key in ("point", "replica") if vars(given)[key] is not None}
     points = with_tasks(points.isel({key: [value] for key, value in chosen.items()}))
+    points["two_states"] &= given.replica is None  # one replica is in one
     shape = str(points.attrs.get("shape", "circuit"))
     if (shape == "urn") != name.startswith("urn") and name not in ANY_SHAPE:
         raise cli.InputError(f"{files_of(points)}: a run of shape '{shape}', not of "

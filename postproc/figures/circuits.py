@@ -230,6 +230,7 @@ def draw_curves(
     """
     across, other = across_of(points)
     axes.set_ylabel(values_of(points, quantity)[1])
+    along = values_of(points, against)[1] if against else ""
     as_share = across == "threshold_fraction" or (
         across == "threshold" and np.unique(points["number"]).size == 1
     )
@@ -252,8 +253,7 @@ def draw_curves(
                 axes.plot(found[against or "x"], found[quantity], color=colour, **look)
     for model, look in theories:
         axes.errorbar([], [], **_theory_entry(model, [one.lines[0] for one in drawn]), **look)
-    axes.set_xlabel(values_of(points, against)[1] if against
-                    else "$T/N$" if as_share else SYMBOLS.get(across, across))  # fmt: skip
+    axes.set_xlabel(along or ("$T/N$" if as_share else SYMBOLS.get(across, across)))
     axes.xaxis.set_major_locator(MaxNLocator(5))
     if across == "number" and not against:
         style.ticks_at(axes, points["number"].values.tolist())
