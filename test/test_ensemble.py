@@ -559,7 +559,7 @@ def test_edited_initial_file(tmp_path: Path, seconds: float) -> None:
     """Going on with another initial file under the same name is refused too."""
     lines = [f"-1.{k} 0.{k} 1 0.{k}\n" for k in range(1, 6)]
     (tmp_path / "start.txt").write_text("".join(lines))
-    write(tmp_path, particles={"number": 5, "initial_file": "'start.txt'"})
+    write(tmp_path, particles={"number": 5, "initial_file": "'start.txt'"}, scan={"replicas": 1})
     case = (tmp_path / "case.nml").read_text()
     (tmp_path / "case.nml").write_text(case.replace("threshold = 3", "threshold = 1"))
     stopped(tmp_path, signal.SIGTERM, 0.1 * seconds)

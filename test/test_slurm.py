@@ -256,16 +256,16 @@ def test_a_job_that_is_told_to_stop_goes_on(
 def test_an_element_of_an_array_goes_on_alone(slurm: Slurm, tmp_path: Path, mpi: str) -> None:
     """The last element's job has the array's number; one that was complete before stays so."""
     folder, job, ranks = start_and_halt(
-        slurm, tmp_path, mpi, "slurm_array.sh", "--array=0-1", names=("a", "b")
+        slurm, tmp_path, mpi, "slurm_array.sh", "--array=0-1", names=("paper_a", "paper_b")
     )
-    of_the_last = [one for one in ranks if "/b.nml" in command_line(one)]
+    of_the_last = [one for one in ranks if "/paper_b.nml" in command_line(one)]
     program.send([one for one in ranks if one not in of_the_last], signal.SIGCONT)
-    assert_ended_well(slurm, f"{job}_0", folder, "a", again=False)
+    assert_ended_well(slurm, f"{job}_0", folder, "paper_a", again=False)
     assert slurm.about(f"{job}_1")["JobId"] == job
     slurm.ask("scancel", "--signal=USR1", f"{job}_1")
     go_on(of_the_last, folder)
-    assert_ended_well(slurm, f"{job}_1", folder, "b")
-    assert_ended_well(slurm, f"{job}_0", folder, "a", again=False)
+    assert_ended_well(slurm, f"{job}_1", folder, "paper_b")
+    assert_ended_well(slurm, f"{job}_0", folder, "paper_a", again=False)
 
 
 @pytest.mark.parametrize("script", EXAMPLES)

@@ -306,7 +306,8 @@ class Page:
         titles = data.OF_URN if self.urn else SERIES
         self.series = [self._series(shown, one, title, time, columns[one])
                        for one, title in titles.items() if columns]  # fmt: skip
-        return [name, table, *self.series, *([namelist] if text else [])]
+        known = bool(self.given.attrs.get("namelist"))
+        return [name, table, *self.series, *[namelist] * known]
 
     def _series(
         self, shown: ColumnDataSource, name: str, title: str, time: Floats, values: Floats

@@ -115,8 +115,8 @@ module battery_engine
 
 contains
 
-  !> Loads the particles at the time `clock`. One that is too slow along its channel ever to reach an
-  !> end moves across it, in all engines alike: an angle of pi/2 has the cosine 6e-17.
+  !> Loads the particles at the time `clock`. One that is too slow along its channel ever to reach
+  !> an end moves across it, in all engines alike: an angle of pi/2 has the cosine 6e-17.
   subroutine start(self, table, threshold, particles, clock)
     class(engine_type), intent(inout) :: self
     type(table_type), intent(in) :: table

@@ -3,7 +3,7 @@ module battery_input_files
   use battery_kinds, only: wp, int64
   use battery_error, only: error_type, fatal_error, exit_failure, exit_bad_input
   use battery_fingerprint, only: fingerprint_of
-  use battery_text, only: new_line_character
+  use battery_text, only: to_text, new_line_character
   use battery_file_text, only: read_file, read_input
   use battery_files, only: is_writable, file_exists
   use battery_paths, only: is_folder, is_pipe_or_device, same_file, folder_of, real_folder_of, &
@@ -55,6 +55,9 @@ contains
 
     if (is_pipe_or_device(plan%initial_file)) call refuse_value(plan, 'initial_file', &
       ''''//plan%initial_file//''': this is a pipe or a device', 'a file')
+    if (plan%initial_file /= '' .and. plan%first_replicas > 1 .and. plan%engine /= 'reservoir') &
+      call refuse_value(plan, 'replicas', to_text(plan%first_replicas), &
+      '1, and no &precision, since all would be one run, from &particles initial_file')
     if (plan%file == '') return
     call follow_links(plan%file, error)
     folder = folder_of(plan%file)

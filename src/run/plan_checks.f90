@@ -99,9 +99,6 @@ contains
       if (size(values_of(plan, 'number')) > 1) call refuse_value(plan, 'number', &
         to_text(size(values_of(plan, 'number')))//' numbers', &
         'one, since &particles initial_file is given')
-      if (plan%first_replicas > 1 .and. plan%engine /= 'reservoir') call refuse_value(plan, &
-        'replicas', to_text(plan%first_replicas), &
-        '1, and no &precision, since all would be one run, from &particles initial_file')
     end if
 
   contains
