@@ -429,12 +429,13 @@ def test_an_upright_direction_in_a_channel_may_be_rounded(
 
 
 @pytest.mark.parametrize("engine", ENGINES[:3])
+@pytest.mark.parametrize("disc", [{}, {"scatterers": "-0.3, 0.2, 0.02"}], ids=["straight", "disc"])
 def test_crossings_of_both_channels_at_one_instant_have_one_order(
-    tmp_path: Path, engine: str
+    tmp_path: Path, engine: str, disc: dict[str, str]
 ) -> None:
     """One of either at t = 1/4: channel 1 comes first, whatever the order of the file."""
     table = {"urn_shape": "'polygon'", "urn_vertices": "1,-1,1,1,-1,1,-1,-1",
-             "channel1_width": 0.5, "channel2_width": 0.5}  # fmt: skip
+             "channel1_width": 0.5, "channel2_width": 0.5, **disc}  # fmt: skip
     starts = [(-2.75, 0, -1, 0), (0.25, 0.125, -1, 0), (-1.25, 0.6, 0.6, 0.8),
               (1.25, 0.6, 0.6, 0.8), (1.3, 0.6, 0.6, 0.8)]  # fmt: skip
     orders = {"given": starts, "reversed": starts[::-1]}

@@ -111,7 +111,7 @@ def main(arguments: list[str] | None = None) -> int:
         return 0
     data = dataset_of(given.files, verify=given.verify)
     points = by_point(selected(data, dict(given.select)))
-    task_of(points, given.point, given.replica)
+    task_of(points, given.point, given.replica)  # refuses a task that is not there
     # A task that was chosen is all that there is, for any figure.
     chosen = {key: vars(given)[key] for key in ("point", "replica") if vars(given)[key] is not None}
     points = with_tasks(points.isel({key: [value] for key, value in chosen.items()}))

@@ -221,7 +221,8 @@ contains
     end do
   end subroutine sort_simultaneous_events
 
-  !> Sorts the record by time, and the events of one instant in the order of the log.
+  !> Sorts the record by time, and the events of one instant in the order of the log. Crossings of
+  !> one instant keep their order: those of channel 1 are recorded first.
   subroutine sort_event_record(event_record)
     type(event_record_type), intent(inout) :: event_record
     integer, allocatable :: order(:)
@@ -230,9 +231,6 @@ contains
     associate (n => event_record%crossings)
       call sort_times_with_permutation(n, event_record%crossing_time, order)
       event_record%crossing(:n) = event_record%crossing(order)
-      do first = 2, n
-        call put_channel1_first(event_record, first)
-      end do
     end associate
     if (.not. event_record%logging) return
     associate (n => event_record%events)

@@ -46,8 +46,8 @@ contains
     call use_initial_file(plan, error)
   end subroutine read_namelist
 
-  !> Checks that the results file can be written and would replace no input file; of an output that
-  !> is a link, the target is checked.
+  !> Checks that an initial file is no pipe and begins one run, and that the results file can be
+  !> written and would replace no input file; of an output that is a link, the target is checked.
   subroutine check_files(plan)
     type(plan_type), intent(inout) :: plan
     type(error_type), allocatable :: error
