@@ -107,6 +107,22 @@ def test_an_error_does_not_say_that_a_file_is_missing(
     assert seconds[0] == seconds[1]
 
 
+@pytest.mark.parametrize("after", [1, 16, 46])
+def test_results_that_hdf5_cannot_read_are_one_line(
+    lacking: str, tmp_path: Path, after: int
+) -> None:
+    """Also where their digest is right, so that they are not damaged: the disk fails for HDF5."""
+    write_case(CASE, tmp_path, scan={"replicas": 2})
+    assert run("--quiet", "case.nml", folder=tmp_path).returncode == 0
+    away = call_failing(lacking, "pread64", "out.h5", errno.EIO, after)
+    read = subprocess.run(
+        [sys.executable, "-m", "postproc", "table", "out.h5"], cwd=tmp_path, capture_output=True,
+        text=True, check=False, env={**os.environ, **away, "PYTHONPATH": str(ROOT)},
+    )  # fmt: skip
+    assert read.returncode == 2
+    assert len(read.stderr.splitlines()) == 1
+
+
 def test_overwrite_does_not_go_on_from_a_journal_that_it_cannot_see(
     lacking: str, tmp_path: Path
 ) -> None:

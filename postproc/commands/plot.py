@@ -24,7 +24,6 @@ A figure shows each point that it is given, or refuses; --select KEY=VALUE and -
 from __future__ import annotations
 
 import argparse
-import sys
 from inspect import signature
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -47,7 +46,7 @@ from postproc.reading.points import (
     files_of,
     need_only,
     remark,
-    say_if_partial,
+    say,
     task_of,
     with_tasks,
 )
@@ -105,7 +104,8 @@ def main(arguments: list[str] | None = None) -> int:
         raise cli.InputError(f"--snapshot is for figure scene, not {given.name}; "
                              "--select KEY=VALUE chooses points")  # fmt: skip
     if not given.files:
-        if name not in WITHOUT_FILE:
+        of_results = [given.select, given.theory or [], given.point, given.replica]
+        if name not in WITHOUT_FILE or of_results != [[], [], None, None]:
             raise cli.InputError(f"figure {given.name} needs at least one file of results")
         style.save(FIGURES[name](), given.output, given.name)
         return 0
@@ -125,9 +125,7 @@ def main(arguments: list[str] | None = None) -> int:
     left_out = f"in two states, not shown: {hidden} of {points.sizes['point']} points"
     notes = [remark(points), left_out if hidden else ""]
     style.note(made.axes[0], "; ".join(filter(None, notes)))
-    say_if_partial(points)
-    if hidden:
-        print(f"{files_of(points)}: {left_out}", file=sys.stderr)
+    say(points, *notes)
     if given.snapshot is not None:
         chosen["snapshot"] = given.snapshot
     told = [f"{key}={value:.15g}" for key, value in [*given.select, *chosen.items()]]
@@ -142,7 +140,9 @@ def _drawn(name: str, points: xr.Dataset, given: argparse.Namespace) -> Figure:
     more: dict[str, object] = {}
     if name in ONE_POINT:
         need_only(points)
-    if given.theory and "models" in words:
+    if given.theory:
+        if "models" not in words:
+            raise cli.InputError(f"figure {given.name} has no place for a theory")
         more["models"] = asked(points, given.theory)
     if given.snapshot is not None:
         more["snapshot"] = given.snapshot

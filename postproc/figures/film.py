@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import logging
 import subprocess
-import sys
 from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
@@ -22,7 +21,7 @@ from postproc.figures.scene import counted_by, draw_table, of_side
 from postproc.progress import each
 from postproc.reading.grid import dataset_of
 from postproc.reading.groups import group_of, series_of, snapshots_of
-from postproc.reading.points import by_point, files_of, say_if_partial, task_of
+from postproc.reading.points import by_point, files_of, remark, say, task_of
 from postproc.theory import outlines
 
 if TYPE_CHECKING:
@@ -329,10 +328,8 @@ def film(
         raise cli.InputError(f"seconds = {seconds} must lie above 0 and up to 3600")
     points = by_point(dataset_of(results, verify=verify))
     scenes = read_scenes(points, *task_of(points, point, replica))
-    say_if_partial(points)
-    if not joined(scenes.times):
-        told = f"snapshots more than {CLOSE} apart follow each other without flight"
-        print(f"{files_of(points)}: {told}", file=sys.stderr)
+    apart = f"snapshots more than {CLOSE} apart follow each other without flight"
+    say(points, remark(points), "" if joined(scenes.times) else apart)
     path = cli.path_of(file, "file")
     if path.suffix not in (".mp4", ".gif"):
         raise cli.InputError(f"{path}: a film is an .mp4 or a .gif")

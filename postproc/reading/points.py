@@ -168,15 +168,15 @@ def files_of(data: xr.Dataset) -> str:
 
 
 def remark(points: xr.Dataset) -> str:
-    """Return a remark for pictures of a partial run; empty for a complete one."""
+    """Return the remark about a partial run; empty for a complete one."""
     done, asked = int(points["complete"].sum()), int(points["asked"].sum())
     return f"partial run: {done} of {asked} tasks" if done < asked else ""
 
 
-def say_if_partial(points: xr.Dataset) -> None:
-    """Print on standard error that the run is partial, if it is."""
-    if told := remark(points):
-        print(f"{files_of(points)}: {told}, drawn with what there is", file=sys.stderr)
+def say(points: xr.Dataset, *remarks: str) -> None:
+    """Print remarks about results on standard error, those that are not empty."""
+    for one in filter(None, remarks):
+        print(f"{files_of(points)}: {one}", file=sys.stderr)
 
 
 def with_tasks(points: xr.Dataset) -> xr.Dataset:

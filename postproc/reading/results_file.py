@@ -82,11 +82,11 @@ class ResultsFile:
         except InputError:
             raise
         except Exception as problem:
-            # Errors of the system have a number, those of HDF5 have none.
+            # Errors of the system have a number, those of HDF5 have none, and may be of any class.
             if isinstance(problem, OSError) and problem.errno is not None:
                 raise
             reason = "cannot be read"
-            if not isinstance(problem, OSError):
+            if not isinstance(problem, OSError) and "file read failed" not in str(problem):
                 # What a whole file leads to is a mistake of this program.
                 try:
                     check_seal(self.path, verify=True)
@@ -225,7 +225,10 @@ def _dimensions(dataset: h5py.Dataset) -> tuple[str, ...] | None:
     scales = dataset.attrs.get("DIMENSION_LIST", ())
     if len(scales) == 0 or not all(len(references) for references in scales):
         return None
-    return tuple(dataset.file[one[0]].name.rpartition("/")[2] for one in scales)
+    names = [dataset.file[one[0]].name for one in scales]
+    if None in names:  # h5py's answer where the disk fails
+        raise OSError(f"the names of the dimensions of {dataset.name}")
+    return tuple(name.rpartition("/")[2] for name in names)
 
 
 def _meaning(dataset: h5py.Dataset) -> dict[str, object]:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from postproc import cli
 from postproc.figures.theories import asked, default
 from postproc.reading.grid import dataset_of
-from postproc.reading.points import by_point, say_if_partial
+from postproc.reading.points import by_point, remark, say
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -49,7 +49,7 @@ def report(
     models = default(points) if theory is None else asked(points, theory)
     page = cli.extra("report", "postproc.reporting.page").page
     text = page(points, {one.name: one for one in models})
-    say_if_partial(points)
+    say(points, remark(points))
     cli.output_folder(path.parent)
     with cli.replaced(path) as half:
         half.write_text(text, encoding="utf-8")

@@ -39,6 +39,7 @@ if TYPE_CHECKING:
 SYMBOLS = {
     "number": "N", "threshold": "T", "threshold_fraction": "T/N", "channel1_width": "w",
     "channel1_length": "l", "channel2_width": "w'", "channel2_length": "l'", "urn_radius": "r",
+    "threshold2": "T2", "urn_radius2": "r2",
 }  # fmt: skip
 MEASURED = {"chi": "mass spread chi", "current": "polarised current"}
 OF_URN = {"current": "hits on the end wall, per unit time"}  # of the single urn
@@ -48,11 +49,15 @@ ROOM = 250_000  # samples of all series together
 
 @dataclass(frozen=True)
 class Scan:
-    """The scan of a run: its keys, with the value at each point, and those along axes, or ""."""
+    """The scan of a run: its keys, with the value at each point, and those along axes, or "".
+
+    `seconds` are the values of gate 2 and urn 2 where they differ from those of 1.
+    """
 
     keys: Columns
     across: str
     up: str
+    seconds: Columns
 
     @property
     def others(self) -> list[str]:
@@ -64,7 +69,11 @@ def scanned(points: xr.Dataset) -> Scan:
     """Return the scan; T is the horizontal axis of maps and w' the vertical one, if scanned."""
     keys = keys_of(points)
     across, up = axes_of(list(keys))
-    return Scan(keys, across or next(iter(keys), ""), up)  # starts alone
+    pairs = ((f"{name}2", name) for name in ("threshold", "urn_radius"))
+    seconds = {second: points[second].values for second, first in pairs
+               if second in points and second not in keys
+               and not np.array_equal(points[second], points[first])}  # fmt: skip
+    return Scan(keys, across or next(iter(keys), ""), up, seconds)  # starts alone
 
 
 def label(name: str) -> str:
@@ -80,7 +89,7 @@ def rounded(values: Floats, digits: int = 5) -> Floats:
 def points_of(points: xr.Dataset, scan: Scan, models: dict[str, Model]) -> Columns:
     """Return the columns of the points: keys, measured values and errors, theory, their text."""
     columns = {name: values if values.dtype.kind == "i" else rounded(values)
-               for name, values in scan.keys.items()}  # fmt: skip
+               for name, values in (scan.keys | scan.seconds).items()}  # fmt: skip
     columns["start"], found = rounded(points["start"].values), table(points, theory=list(models))
     for name, source in (("chi", "chi"), ("current", current_name(points))):
         columns[name] = rounded(found[source])
@@ -105,7 +114,8 @@ def points_of(points: xr.Dataset, scan: Scan, models: dict[str, Model]) -> Colum
 
 def _summary(scan: Scan, columns: Columns, at: int) -> str:
     """Return the line about a point: its keys and measured values."""
-    place = [f"{SYMBOLS.get(name, name)} = {columns[name][at]:.5g}" for name in scan.keys]
+    place = [f"{SYMBOLS.get(name, name)} = {columns[name][at]:.5g}"
+             for name in scan.keys | scan.seconds]  # fmt: skip
     found = [
         f"{name} {columns[name][at]:.4g} ± {columns[f'{name}_error'][at]:.1g}".replace(
             "± nan", "(error not known)"

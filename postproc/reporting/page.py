@@ -269,7 +269,7 @@ class Page:
 
     def table(self) -> DataTable:
         """Return the table of all points, which sorts."""
-        heads = {name: data.label(name) for name in self.scan.keys}
+        heads = {name: data.label(name) for name in self.scan.keys | self.scan.seconds}
         if not self.urn:
             heads["start"] = "start chi"
         for name in self.measured:

@@ -140,6 +140,8 @@ def test_unusual_results_have_an_answer(
         *((f"{name} map.h5 --snapshot 1", f"--snapshot is for figure scene, not {name}")
           for name in FIGURES if name != "scene"),
         ("circuit --snapshot 1", "--snapshot is for figure scene, not circuit"),
+        ("urn --theory window", "figure urn needs at least one file of results"),
+        ("scene map.h5 --point 1 --theory window", "figure scene has no place for a theory"),
         ("phase_diagram map.h5 --point 1", "a map needs two keys other than the start"),
         ("curves map.h5 --point 4", "point 4 is not one of 0 to 3"),
         ("curves closed.h5", "no point has a mean of 'polarised_current'"),

@@ -116,12 +116,18 @@ def scan_of(points: xr.Dataset, at: int) -> dict[str, object]:
     return dict(f90nml.reads(filled)["scan"])
 
 
-def test_the_namelist_of_a_point_has_its_values_of_pairs(tmp_path: Path) -> None:
+def test_a_point_has_both_values_of_pairs_in_its_namelist_and_its_line(tmp_path: Path) -> None:
     scan = {"threshold": [1, 2], "threshold2": [3, 2], "urn_radius": [1, 2], "urn_radius2": [1, 2]}
     path = results_of(tmp_path / "pairs.h5", scan=scan, particles={"number": 20},
                       run={"duration": 5.0}, output=BARE)  # fmt: skip
     first = {"threshold": 1, "threshold2": 3, "urn_radius": 2.0, "urn_radius2": 2.0}
-    assert scan_of(points_of(path), 1) == {**first, "replicas": 2}
+    points = points_of(path)
+    assert scan_of(points, 1) == {**first, "replicas": 2}
+    columns = data.points_of(points, data.scanned(points), {})
+    assert columns["threshold2"].tolist() == [3, 3, 2, 2]
+    assert [line.partition(":")[0] for line in columns["told"][1:3]] == [
+        "T = 1, r = 2, T2 = 3", "T = 2, r = 1, T2 = 2"
+    ]  # fmt: skip
 
 
 @pytest.mark.parametrize(

@@ -1,6 +1,6 @@
 /* A file system that lacks something: loaded before a program (LD_PRELOAD), it makes `flock`, and `fsync` of a
    folder, fail with the error numbers in the variables NO_FLOCK and NO_FOLDER_SYNC, and the call that NO_CALL
-   names (read, opendir, readdir, stat, lstat, access) with that in NO_CALL_WITH, from the NO_CALL_AFTER-th such
+   names (read, pread64, opendir, readdir, stat, lstat, access) with that in NO_CALL_WITH, from the NO_CALL_AFTER-th such
    call on, of paths that end with NO_CALL_OF. With HANGUP_HANDLER set, a handler of SIGHUP is there before the
    program begins, as UCX sets one. */
 #define _GNU_SOURCE
@@ -64,6 +64,11 @@ int fsync(int file) {
 
 ssize_t read(int file, void *bytes, size_t count) {
   return fails_for("read", file) ? -1 : NEXT(ssize_t(*)(int, void *, size_t), "read")(file, bytes, count);
+}
+
+ssize_t pread64(int file, void *bytes, size_t count, off64_t place) {
+  if (fails_for("pread64", file)) return -1;
+  return NEXT(ssize_t(*)(int, void *, size_t, off64_t), "pread64")(file, bytes, count, place);
 }
 
 DIR *opendir(const char *path) {
