@@ -590,7 +590,7 @@ def test_a_run_that_ends_too_early_says_so(tmp_path: Path) -> None:
     )
     ended = run("case.nml", folder=tmp_path)
     assert ended.returncode == 1, (ended.returncode, ended.stdout, ended.stderr)
-    assert "task 2 failed: nothing is left for the averages" in ended.stdout
+    assert "number = 100, replica 0 failed: nothing is left for the averages" in ended.stdout
     with h5py.File(tmp_path / "out.h5") as file:
         np.testing.assert_array_equal(file["task_status"], [[0], [1]])
         np.testing.assert_array_equal(np.isfinite(file["chi"]), [[True], [False]])
@@ -665,7 +665,7 @@ def test_memory_short_after_the_start(tmp_path: Path) -> None:
     )
     ended = run("case.nml", folder=tmp_path, prepare=limit)
     assert ended.returncode == 1, (ended.returncode, ended.stdout, ended.stderr[:2000])
-    assert "task 2 failed" in ended.stdout
+    assert "number = 30000000, replica 0 failed" in ended.stdout
     assert "1 of 2 tasks are complete" in ended.stdout
 
 
