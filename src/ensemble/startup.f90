@@ -98,7 +98,7 @@ contains
       if (complete) then
         call remove_journal(sources%folder, error)
       else
-        remarks = remarks_of(plan)
+        remarks = remarks_of(plan, 0.0_dp)
         do at = 1, merge(0, size(remarks), quiet)
           call print_line('remark: '//remarks(at)%text)
         end do

@@ -11,10 +11,10 @@ module battery_summary
   use battery_quantities, only: averaged_quantities, counted_quantities, place_of
   use battery_results, only: results_type, task_complete, task_not_asked, &
     point_two_states, point_not_precise
-  use battery_columns, only: whole_text, number_text, duration_text, rate_text
+  use battery_columns, only: whole_text, number_text, rate_text
   use battery_files, only: file_exists
   use battery_terminal, only: print_line
-  use battery_text, only: to_text, count_text, numbers_text
+  use battery_text, only: duration_text, to_text, count_text, numbers_text
   implicit none (type, external)
   private
   public :: print_summary, stopped_text
