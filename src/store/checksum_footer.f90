@@ -129,8 +129,8 @@ contains
       beginning, c_int64_t), footer, digits, bytes, seen%mark)
     if (present(stamp)) stamp = seen
     content = merge(bytes - footer_length, bytes, bytes > footer_length)
-    has_footer = index(footer, first_line//new_line('a')) == 1 .or. (index(footer, explanation) > 0 &
-      .and. content == end_in_hdf5(first))
+    has_footer = index(footer, first_line//new_line('a')) == 1 .or. (index(footer, explanation) &
+      > 0 .and. content == end_in_hdf5(first))
     if (content < beginning) first = first(:content)
     if (status < 0) then
       call fatal_error(error, name//' is open in another program, which may change it; ' &
