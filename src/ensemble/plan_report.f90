@@ -6,8 +6,7 @@ module battery_plan_report
   use battery_engine, only: particles_type
   use battery_error, only: error_type
   use battery_json_report, only: write_plan_json
-  use battery_memory_estimate, only: estimate_type, every_rank
-  use battery_available_memory, only: size_text
+  use battery_available_memory, only: estimate_type, size_text
   use battery_merge, only: sources_type, close_sources
   use battery_startup, only: progress_type, inspect_output, further_text
   use battery_plan, only: plan_type, point_type, point_of
@@ -73,7 +72,7 @@ contains
     call print_row('results:', plan%file)
     call print_line('nothing was written')
     call write_plan_json(json, task_count(plan), size(progress%pending), seconds, &
-      every_rank + estimate%task, error)
+      estimate%task, error)
 
   contains
 
@@ -114,8 +113,8 @@ contains
   subroutine print_memory(estimate)
     type(estimate_type), intent(in) :: estimate
 
-    call print_row('memory:', 'about '//size_text(every_rank + estimate%task)//' a rank; rank 0 ' &
-      //'about '//size_text(every_rank + estimate%merge)//' at the end; ' &
+    call print_row('memory:', 'about '//size_text(estimate%task)//' a rank; rank 0 ' &
+      //'about '//size_text(estimate%merge)//' at the end; ' &
       //size_text(estimate%available%bytes)//' a rank are available (' &
       //estimate%available%limit//')')
     if (estimate%events > 0.0_dp) call print_row('', 'events take about ' &

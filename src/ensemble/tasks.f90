@@ -11,7 +11,7 @@ module battery_tasks
   use battery_identity, only: task_id_with
   use battery_initial_state, only: random_particles
   use battery_plan, only: plan_type, point_type, point_of, table_of, setup_of
-  use battery_simulation, only: setup_type
+  use battery_setup, only: setup_type
   use battery_table, only: table_type
   implicit none (type, external)
   private

@@ -10,7 +10,7 @@ module battery_identity
   use battery_engines, only: has_step
   use battery_fingerprint, only: fingerprint_start, fingerprint_of, mix_word
   use battery_random, only: splitmix64
-  use battery_simulation, only: run_type, setup_type
+  use battery_setup, only: run_type, setup_type
   use battery_urn, only: shape_polygon
   implicit none (type, external)
   private

@@ -14,7 +14,7 @@ module battery_plan
     shape_urn, channel1, channel2
   use battery_corners, only: regular_corners
   use battery_engine, only: particles_type
-  use battery_simulation, only: run_type, setup_type
+  use battery_setup, only: run_type, setup_type
   use battery_identity, only: identity_of
   use battery_findings, only: finding_type, point_findings_type, finding_of, of_state, &
     of_remark

@@ -19,8 +19,7 @@ module battery_results_file
   use, intrinsic :: ieee_arithmetic, only: ieee_is_nan
   use battery_kinds, only: wp, dp, int32, int64
   use battery_archive, only: archive_type
-  use battery_available_memory, only: check_memory, bytes_per_task, bytes_per_entry, &
-    bytes_per_state, most_numbers
+  use battery_available_memory, only: need_type, check_memory, most_kept
   use battery_build_information, only: program_version
   use battery_checksum_footer, only: check_footer, copy_with_footer
   use battery_error, only: error_type, fatal_error, exit_bad_input, exit_failure
@@ -38,7 +37,7 @@ module battery_results_file
   use battery_results, only: results_type, new_results, scatter_of, all_tasks_complete, &
     task_complete, task_failed, task_not_done, task_not_asked, point_precise, point_not_precise, &
     point_two_states, point_undecided
-  use battery_simulation, only: setup_type
+  use battery_setup, only: setup_type
   use battery_table, only: channel1, channel2
   use battery_text, only: lines_of
   implicit none (type, external)
@@ -291,7 +290,8 @@ contains
     character(len=:), allocatable :: hosts
     integer :: p, r, host
 
-    call check_memory_of(bytes_per_task*plan%point_count*plan%replicas, 'tasks', file, error)
+    call check_memory_of(need_type(tasks=real(plan%point_count, dp)*plan%replicas), 'tasks', &
+      file, error)
     if (allocated(error)) return
     call new_results(results, plan%point_count, plan%replicas)
     call serialize_measured(file, results, error)
@@ -329,9 +329,9 @@ contains
     associate (plan => file%plan)
       if (plan%series_interval > 0.0_wp) then
         call read_extents(file, '/series/urn1_number', entries, error, dataset)
-        call check_memory_of(bytes_per_entry*real(entries(1), dp), '/series', file, error)
-        if (.not. allocated(error) .and. (entries(1) < 1 .or. entries(1) > int(most_numbers, &
-          int64))) call check_status(file, '/series/urn1_number', &
+        call check_memory_of(need_type(entries=real(entries(1), dp)), '/series', file, error)
+        if (.not. allocated(error) .and. (entries(1) < 1 .or. entries(1) > most_kept)) &
+          call check_status(file, '/series/urn1_number', &
           'has no length that a series can have', 1, error)
         if (allocated(error)) return
         length(series) = int(entries(1))
@@ -345,22 +345,22 @@ contains
       end do
       if (size(plan%snapshot_times) > 0) length(snapshots) = most
       if (plan%final_state) length(final) = most
-      call check_memory_of(bytes_per_state*most*(size(plan%snapshot_times) + merge(1, 0, &
-        plan%final_state)), '/snapshots and /final', file, error)
+      call check_memory_of(need_type(states=real(most, dp)*(size(plan%snapshot_times) &
+        + merge(1, 0, plan%final_state))), '/snapshots and /final', file, error)
       call prepare_outputs(file, length, .false., error)
     end associate
   end subroutine open_outputs
 
-  !> An error if there is no memory for `bytes` of a file. Does nothing after an error.
-  subroutine check_memory_of(bytes, what, file, error)
-    real(dp), intent(in) :: bytes
+  !> An error if there is no memory for what is in a file. Does nothing after an error.
+  subroutine check_memory_of(need, what, file, error)
+    type(need_type), intent(in) :: need
     !> Text for the datasets that need them.
     character(len=*), intent(in) :: what
     class(hdf5_file_type), intent(in) :: file
     type(error_type), allocatable, intent(inout) :: error
 
     if (allocated(error)) return
-    call check_memory(bytes, what//' in '//file%name, error)
+    call check_memory(need, what//' in '//file%name, error)
     if (allocated(error)) error%code = exit_bad_input
   end subroutine check_memory_of
 
