@@ -244,7 +244,7 @@ contains
     do k = 1, tries
       task = task_of(plan, pending(1 + int(int(size(pending) - 1, int64)*(k - 1) &
         /max(tries - 1, 1))))
-      if (task%number > most) cycle
+      if (task%setup%number > most) cycle
       call initial_particles(task, plan%file_particles, particles, error)
       if (.not. allocated(error)) call begin_simulation(simulation, task%setup, particles, error)
       if (allocated(error)) return

@@ -308,6 +308,7 @@ contains
     integer :: k
 
     call open_results(plan%file, file, error)
+    file%plan = plan
     if (.not. allocated(error)) call read_results(file, results, error)
     if (allocated(error)) return
     if (size(results%seed, 1) /= plan%replicas .or. .not. all_tasks_complete(results)) &

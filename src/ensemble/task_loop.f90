@@ -233,9 +233,11 @@ contains
     logical :: resumed
 
     cpu_before = 0.0_dp
-    call check_memory(need_type(bytes_per_particle(task%setup%engine, &
-      any(task%setup%table%urn%truncates_passages))*task%number), to_text(task%number) &
-      //' particles', failure)
+    associate (setup => task%setup)
+      call check_memory(need_type(bytes_per_particle(setup%engine, &
+        any(setup%table%urn%truncates_passages))*setup%number), to_text(setup%number) &
+        //' particles', failure)
+    end associate
     if (allocated(failure)) return
     call read_state(journal, task, simulation, cpu_before, resumed, failure, error)
     if (resumed .or. allocated(failure) .or. allocated(error)) return

@@ -316,18 +316,15 @@ contains
 
   !> Keys in which two inputs differ, one per line with both values; empty if they describe the same
   !> run. Notation, defaults, limits and the name of the output file make no difference.
-  function differing_keys(old, new) result(text)
-    !> Text of a namelist without errors, and the settings of a plan.
-    character(len=*), intent(in) :: old
-    type(settings_type), intent(in) :: new
+  pure function differing_keys(old, new) result(text)
+    !> Settings of two plans.
+    type(settings_type), intent(in) :: old, new
     character(len=:), allocatable :: text
-    type(settings_type) :: before
     integer :: at
 
-    call read_settings(old, all_keys(), before)
     text = ''
     do at = 1, size(new%all)
-      associate (key => new%all(at)%key, was => before%all(at)%canonical, &
+      associate (key => new%all(at)%key, was => old%all(at)%canonical, &
         is => new%all(at)%canonical)
         if (was == is .or. .not. key%changes_results) cycle
         if (text /= '') text = text//new_line_character

@@ -1,4 +1,4 @@
-!> What one simulation is, besides its particles: the parameters of the run, table and thresholds.
+!> What one simulation is: the parameters of the run, the table, the numbers of particles.
 module battery_setup
   use battery_kinds, only: wp, int64
   use battery_table, only: table_type
@@ -20,12 +20,14 @@ module battery_setup
     real(wp) :: series_interval = 0.0_wp
     !> Times since the start, ascending, at which positions and velocities are stored.
     real(wp), allocatable :: snapshot_times(:)
-    logical :: event_log = .false.
+    logical :: event_log = .false., final_state = .false.
   end type run_type
 
   !> Setup of a simulation, without the particles.
   type, extends(run_type) :: setup_type
     type(table_type) :: table
+    !> Number of particles, and of those that start in urn 1.
+    integer :: number = 0, urn1_number = 0
     !> Thresholds of the gates of urn 1 and 2.
     integer :: threshold(2) = 0
     !> Seed of engines that draw random numbers.

@@ -20,7 +20,6 @@ module battery_results_file
   use battery_kinds, only: wp, dp, int32, int64
   use battery_archive, only: archive_type
   use battery_available_memory, only: need_type, check_memory, most_kept
-  use battery_build_information, only: program_version
   use battery_checksum_footer, only: check_footer, copy_with_footer
   use battery_error, only: error_type, fatal_error, exit_bad_input, exit_failure
   use battery_files, only: file_stamp_type, sync_file, publish_unless_replaced, remove_file
@@ -30,7 +29,6 @@ module battery_results_file
     close_dataset
   use battery_key, only: key_type, find_key
   use battery_keys, only: all_keys
-  use battery_namelist_input, only: parse_namelist
   use battery_plan, only: plan_type, point_type, point_of, setup_of
   use battery_quantities, only: quantity_type, averaged_quantities, counted_quantities, place_of, &
     flow_names, unknown_count, unknown_real
@@ -93,8 +91,7 @@ module battery_results_file
     !> Stamp of a file that was opened, or was damaged; of a new file, that of the only file that it
     !> may replace.
     type(file_stamp_type) :: stamp
-    !> Plan of the file: that of a new one is set before `write_results`, that of another follows
-    !> from its namelist in `read_results`.
+    !> Plan of the file, set before `write_results` or `read_results`: that of its namelist.
     type(plan_type) :: plan
     !> Length of the first dimension of each group: greatest number of entries, or of particles, of
     !> any task; number of events. 0: the file has no series, no snapshots, no final states.
@@ -166,7 +163,7 @@ contains
   subroutine accept_results(name, file, results, error)
     !> Path of the file.
     character(len=*), intent(in) :: name
-    !> File from `open_results`, closed here; no change since is accepted.
+    !> File from `open_results`, with its plan, closed here; no change since is accepted.
     type(results_file_type), intent(inout) :: file
     !> Its numbers.
     type(results_type), intent(out) :: results
@@ -250,21 +247,14 @@ contains
 
   !> Reads the numbers of an open file, except the parameters of points; task outputs are read one
   !> by one (`serialize_slabs`). Its datasets must be those that follow from its namelist; otherwise
-  !> the error has the code `exit_bad_input`. A file of another version has other datasets: the code
-  !> is `exit_failure`. They may be read several times.
+  !> the error has the code `exit_bad_input`. They may be read several times.
   subroutine read_results(file, results, error)
-    !> File from `open_results`; closed after an error.
+    !> File from `open_results`, of this version, with its plan; closed after an error.
     type(results_file_type), intent(inout) :: file
     type(results_type), intent(out) :: results
     type(error_type), allocatable, intent(out) :: error
 
-    if (file%version /= program_version) then
-      call fatal_error(error, file%name//' is of another version')
-    else
-      call parse_namelist(file%namelist, file%name, file%plan, error)
-    end if
-    file%plan%initial_fingerprint = file%initial_fingerprint
-    if (.not. allocated(error)) call read_tasks(file, file%plan, results, error)
+    call read_tasks(file, file%plan, results, error)
     if (.not. allocated(error)) call open_outputs(file, results, error)
     if (allocated(error)) call close_results(file)
   end subroutine read_results
