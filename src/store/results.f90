@@ -1,5 +1,5 @@
 !> The numbers that a scan has measured, as arrays with an entry for each point and replica. Series,
-!> states and events, which are large, are in `battery_task_output`.
+!> states and events, which are large, are in `task_output_type` of `battery_results_file`.
 !>
 !> The first index runs fastest, so readers in C or Python see the dimensions reversed.
 module battery_results
