@@ -24,8 +24,8 @@ module battery_startup
   use battery_text, only: string_type, to_text, count_text, new_line_character
   implicit none (type, external)
   private
-  public :: find_pending_tasks, find_further_tasks, progress_type, inspect_output, further_text
-  public :: accept_output
+  public :: find_pending_tasks, find_further_tasks, progress_type, inspect_output, set_pending
+  public :: further_text, accept_output
   public :: write_partial_results
 
   !> Progress of an ensemble.
@@ -199,8 +199,7 @@ contains
         //', and writes it anew from '//journal_folder(plan)//new_line_character
     end if
     progress%is_damaged = allocated(damage)
-    progress%pending = pending_tasks(plan, results)
-    if (allocated(results%point_status)) call estimate_further_tasks(plan, results, progress)
+    call set_pending(plan, results, progress)
     if (found) message = message//'going on: '//to_text(progress%finished)//' of ' &
       //to_text(progress%finished + size(progress%pending))//' tasks are finished' &
       //further_text(progress)
@@ -218,20 +217,24 @@ contains
       //' more as the first replicas tell'
   end function further_text
 
-  !> Estimates the number of tasks of points whose first replicas are not complete.
-  pure subroutine estimate_further_tasks(plan, results, progress)
+  !> Sets the pending tasks, and estimates the number of tasks of points whose first replicas are
+  !> not complete.
+  pure subroutine set_pending(plan, results, progress)
     type(plan_type), intent(in) :: plan
+    !> Results, for which `decide_replicas` was called.
     type(results_type), intent(in) :: results
     type(progress_type), intent(inout) :: progress
-    logical :: decided(size(results%point_status))
+    logical :: decided(plan%point_count)
     integer :: others
 
+    progress%pending = pending_tasks(plan, results)
+    if (.not. allocated(results%point_status)) return
     decided = results%point_status /= point_undecided
     others = count(.not. decided)
     progress%further = others*(plan%replicas - plan%first_replicas)
     if (any(decided)) progress%expected = others*(real(sum(results%replicas_needed, decided), dp) &
       /count(decided) - plan%first_replicas)
-  end subroutine estimate_further_tasks
+  end subroutine set_pending
 
   !> Path under which a damaged results file of a plan is kept.
   pure function damaged_file(plan) result(path)

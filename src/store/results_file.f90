@@ -36,8 +36,7 @@ module battery_results_file
     task_complete, task_failed, task_not_done, task_not_asked, point_precise, point_not_precise, &
     point_two_states, point_undecided
   use battery_setup, only: setup_type
-  use battery_table, only: channel1, channel2
-  use battery_text, only: lines_of
+  use battery_text, only: lines_of, to_text
   implicit none (type, external)
   private
   public :: results_file_type, write_results, publish_results
@@ -359,6 +358,8 @@ contains
     class(hdf5_file_type), intent(in) :: file
     type(results_type), intent(in) :: results
     type(error_type), allocatable, intent(inout) :: error
+    character(len=:), allocatable :: name
+    integer :: k
 
     call write_counting_scale(file, '/point', 0, size(results%point), 'point of the scan, from 0', &
       error)
@@ -377,14 +378,13 @@ contains
         [2, size(p)], order=[2, 1]), '1', 'threshold T of each gate', error, by_gate)
       call write_dataset(file, '/urn_radius', reshape([p%urn_radius(1), p%urn_radius(2)], &
         [2, size(p)], order=[2, 1]), 'length', 'radius r of each urn', error, by_urn)
-      call write_dataset(file, '/channel1_width', p%channel(channel1)%width, 'length', &
-        'width w of channel 1', error, by_point)
-      call write_dataset(file, '/channel1_length', p%channel(channel1)%length, 'length', &
-        'length l of channel 1', error, by_point)
-      call write_dataset(file, '/channel2_width', p%channel(channel2)%width, 'length', &
-        'width w'' of channel 2', error, by_point)
-      call write_dataset(file, '/channel2_length', p%channel(channel2)%length, 'length', &
-        'length l'' of channel 2', error, by_point)
+      do k = 1, 2
+        name = 'channel'//to_text(k)
+        call write_dataset(file, '/'//name//'_width', p%channel(k)%width, 'length', 'width w' &
+          //repeat('''', k - 1)//' of channel '//to_text(k), error, by_point)
+        call write_dataset(file, '/'//name//'_length', p%channel(k)%length, 'length', 'length l' &
+          //repeat('''', k - 1)//' of channel '//to_text(k), error, by_point)
+      end do
     end associate
   end subroutine write_points
 
