@@ -19,7 +19,7 @@ module battery_merge
   use battery_plan, only: plan_type, point_of, setup_of
   use battery_precision, only: decide_replicas
   use battery_provenance, only: attribute_type, build_attributes, command_text
-  use battery_quantities, only: counted_quantities, place_of, unknown_real, unknown_count
+  use battery_quantities, only: integer_quantities, place_of, unknown_real, unknown_count
   use battery_record_file, only: record_reader_type, open_records, close_records
   use battery_results, only: results_type, new_results, task_complete, task_failed, &
     task_not_asked, point_undecided, all_tasks_complete
@@ -335,7 +335,7 @@ contains
   !> Place of the host among the counted quantities.
   pure integer function host_place()
 
-    host_place = place_of('provenance/host', counted_quantities())
+    host_place = place_of('provenance/host', integer_quantities())
   end function host_place
 
   !> Copies the output of every task to its place in a new file, in the order of the tasks. Does

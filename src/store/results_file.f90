@@ -30,7 +30,7 @@ module battery_results_file
   use battery_key, only: key_type, find_key
   use battery_keys, only: all_keys
   use battery_plan, only: plan_type, point_type, point_of, setup_of
-  use battery_quantities, only: quantity_type, averaged_quantities, counted_quantities, place_of, &
+  use battery_quantities, only: quantity_type, real_quantities, integer_quantities, place_of, &
     flow_names, unknown_count, unknown_real
   use battery_results, only: results_type, new_results, scatter_of, all_tasks_complete, &
     task_complete, task_failed, task_not_done, task_not_asked, point_precise, point_not_precise, &
@@ -287,7 +287,7 @@ contains
     call read_text_attribute(file, '/provenance', 'hosts', hosts, error)
     if (allocated(error)) return
     results%host = lines_of(hosts)
-    host = place_of('provenance/host', counted_quantities())
+    host = place_of('provenance/host', integer_quantities())
     do p = 1, plan%point_count
       do r = 1, plan%replicas
         if (results%task_status(r, p) /= task_complete) cycle
@@ -407,7 +407,7 @@ contains
       task_not_done, task_not_asked], error)
     call write_text_attribute(file, '/task_status', 'flag_meanings', &
       'complete failed not_done not_asked', error)
-    list = averaged_quantities()
+    list = real_quantities()
     do q = 1, size(list)
       path = '/'//trim(list(q)%name)
       unit = trim(list(q)%unit)
@@ -420,7 +420,7 @@ contains
       if (file%is_new) call write_dataset(file, path//'_spread', scatter_of(results%average(:, &
         :, q), results%task_status), unit, meaning//scatter, error, by_point)
     end do
-    list = counted_quantities()
+    list = integer_quantities()
     do q = 1, size(list)
       path = '/'//trim(list(q)%name)
       call serialize_dataset(file, path, results%counted(:, :, q), trim(list(q)%unit), &
@@ -459,7 +459,7 @@ contains
     select case (group)
     case (series)
       list(1) = output_type('urn1_number', '1', 'particles at x < 0', .true.)
-      quantities = averaged_quantities()
+      quantities = real_quantities()
       do k = 1, size(flow_names)
         associate (flow => quantities(place_of(flow_names(k), quantities)))
           list(1 + k) = output_type(flow%name, flow%unit, trim(flow%meaning) &
