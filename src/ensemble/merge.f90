@@ -332,7 +332,7 @@ contains
     if (found%status == task_failed) results%failure(number)%text = found%message
   end subroutine add_result
 
-  !> Place of the host among the counted quantities.
+  !> Place of the host among the integer quantities.
   pure integer function host_place()
 
     host_place = place_of('provenance/host', integer_quantities())
