@@ -9,7 +9,7 @@ program battery
   use battery_communicator, only: communicator_type, open_communicator, close_communicator, &
     share_error, ranks_on_node, wait_for_all
   use battery_ensemble, only: run_ensemble, set_time_limit
-  use battery_memory_estimate, only: estimate_type, estimate_memory, check_memory_for_mpi
+  use battery_available_memory, only: estimate_type, estimate_memory, check_memory_for_mpi
   use battery_memory, only: spare_address_space
   use battery_plan_report, only: print_plan_report
   use battery_plan, only: plan_type

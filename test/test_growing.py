@@ -197,7 +197,7 @@ def test_results_of_another_version_do_not_grow(tmp_path: Path) -> None:
     (tmp_path / "out.h5").write_bytes(content + seal)
     before = listing(tmp_path)
     ended = run("--partial", "case.nml", folder=tmp_path)
-    assert (ended.returncode, "is complete, and of version 0.0.9" in ended.stderr) == (2, True)
+    assert (ended.returncode, "was made by version 0.0.9" in ended.stderr) == (2, True)
     assert listing(tmp_path) == before
     write(tmp_path, scan={"replicas": 3})
     before = listing(tmp_path)

@@ -97,10 +97,13 @@ def test_a_point_whose_channel_has_no_room_is_named(tmp_path: Path) -> None:
     told = refused(tmp_path, table, scan={"channel2_length": "2, 1, 0.7"})
     assert len(told) == 1
     assert "reaches into an opening" in told[0]
-    assert "at channel2_length = 0.7" in told[0]
+    assert "(1 of 3 points: channel2_length = 0.7)" in told[0]
     table = {"scatterers": "0.1, 0.1, 0.06"}
     told = refused(tmp_path, table, scan={"channel2_width": "0.4, 0.05"})
-    assert "at channel2_width = 0.05" in told[0]
+    assert "(1 of 2 points: channel2_width = 0.05)" in told[0]
+    told = refused(tmp_path, {"scatterers": "0, 1, 0.1"}, scan={"channel2_width": "0.3, 0.4, 0.5"})
+    assert len(told) == 1
+    assert "outside of the channel" in told[0]
 
 
 def test_a_channel_that_is_not_there_has_none(tmp_path: Path) -> None:

@@ -22,7 +22,8 @@ module battery_journal
   use battery_record_file, only: record_type, append_record, write_single_record, &
     read_single_record
   use battery_task_result, only: task_result_type, to_record
-  use battery_simulation, only: simulation_type, setup_type, serialize_simulation
+  use battery_setup, only: setup_type
+  use battery_simulation, only: simulation_type, serialize_simulation
   use battery_tasks, only: task_type
   use battery_archive, only: archive_type, new_archive, measuring_archive
   implicit none (type, external)

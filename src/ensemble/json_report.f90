@@ -3,10 +3,10 @@
 module battery_json_report
   use battery_error, only: error_type, fatal_error, exit_failure, exit_bad_input
   use battery_file_text, only: read_input, write_file, is_standard_output
-  use battery_files, only: file_exists, is_writable
-  use battery_input_files, only: part_of_output
+  use battery_files, only: file_exists
+  use battery_input_files, only: part_of_output, reason_unwritable
   use battery_kinds, only: dp, int64
-  use battery_paths, only: is_folder, is_pipe_or_device, same_file, folder_of, real_folder_of
+  use battery_paths, only: is_pipe_or_device, same_file, real_folder_of
   use battery_plan, only: plan_type
   use battery_text, only: to_text
   implicit none (type, external)
@@ -56,17 +56,8 @@ contains
 
     reason = ''
     if (is_pipe_or_device(path) .or. is_standard_output(path)) return
-    if (is_folder(path)) then
-      reason = 'this is a folder'
-    else if (.not. file_exists(path)) then
-      if (.not. is_folder(folder_of(path))) then
-        reason = 'the folder '//folder_of(path)//' does not exist'
-      else if (.not. is_writable(folder_of(path))) then
-        reason = 'the folder '//folder_of(path)//' cannot be written to'
-      end if
-    else if (.not. is_writable(path)) then
-      reason = 'the file cannot be written to'
-    else
+    reason = reason_unwritable(path, .false.)
+    if (reason == '' .and. file_exists(path)) then
       call read_input(path, longest, text, error)
       ! One line: several may be what somebody collected from standard output.
       if (allocated(error) .or. (text /= '' .and. (index(text, mark) /= 1 .or. &

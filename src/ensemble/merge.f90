@@ -16,16 +16,17 @@ module battery_merge
     write_text_attribute, no_handle
   use battery_identity, only: task_id_with
   use battery_journal, only: journal_type, rank_file, rank_files_of
-  use battery_plan, only: plan_type, point_of
+  use battery_plan, only: plan_type, point_of, setup_of
   use battery_precision, only: decide_replicas
   use battery_provenance, only: attribute_type, build_attributes, command_text
-  use battery_quantities, only: counted_quantities, place_of, unknown_real, unknown_count
+  use battery_quantities, only: integer_quantities, place_of, unknown_real, unknown_count
   use battery_record_file, only: record_reader_type, open_records, close_records
   use battery_results, only: results_type, new_results, task_complete, task_failed, &
     task_not_asked, point_undecided, all_tasks_complete
   use battery_results_file, only: results_file_type, write_results, &
     publish_results, read_results, close_results, prepare_outputs, serialize_slabs, ended_early, &
     series, events
+  use battery_setup, only: setup_type
   use battery_task_result, only: task_result_type, next_result
   use battery_tasks, only: task_type, task_count, task_of, task_index_type, task_index_of, &
     task_number_of
@@ -52,7 +53,8 @@ module battery_merge
     integer, allocatable, private :: number(:)
     type(record_reader_type), allocatable, private :: reader(:)
     logical, private :: are_held = .false.
-    !> Place of the output of each task.
+    !> Numbers of the tasks by their `task_id`; place of the output of each.
+    type(task_index_type), private :: task_index
     type(place_type), allocatable, private :: place(:)
     !> Greatest number of entries, or of particles, of any task in each group of outputs.
     integer, private :: length(4) = 0
@@ -95,23 +97,24 @@ contains
     type(results_type), intent(inout) :: results
     type(error_type), allocatable, intent(out) :: error
     type(results_file_type) :: file
-    type(task_type) :: task
-    integer :: k
+    type(setup_type) :: setup
+    integer :: p, r
 
-    do k = 1, task_count(plan)
-      task = task_of(plan, k)
-      associate (p => task%point, r => task%replica)
-        results%point(p) = point_of(plan, p)
-        results%point(p)%urn_radius = task%setup%table%urn%radius
-        results%seed(r, p) = task%setup%seed
-        if (r <= results%replicas_needed(p)) cycle
-        ! An earlier run may have needed more replicas than a point needs whose number is decided.
-        if (results%point_status(p) == point_undecided) cycle
-        results%task_status(r, p) = task_not_asked
-        results%average(r, p, :) = unknown_real()
-        results%error(r, p, :) = unknown_real()
-        results%counted(r, p, :) = unknown_count
-      end associate
+    do p = 1, plan%point_count
+      do r = 1, plan%replicas
+        setup = setup_of(plan, p, r)
+        results%seed(r, p) = setup%seed
+      end do
+      results%point(p) = point_of(plan, p)
+      results%point(p)%urn_radius = setup%table%urn%radius
+      r = results%replicas_needed(p) + 1
+      if (r > plan%replicas) cycle
+      ! An earlier run may have needed more replicas than a point needs whose number is decided.
+      if (results%point_status(p) == point_undecided) cycle
+      results%task_status(r:, p) = task_not_asked
+      results%average(r:, p, :) = unknown_real()
+      results%error(r:, p, :) = unknown_real()
+      results%counted(r:, p, :) = unknown_count
     end do
     call open_file(file, name//'.part', .true., error)
     file%plan = plan
@@ -237,7 +240,6 @@ contains
     !> The old file is undamaged, but was not written by this program; a damaged file is ignored.
     type(error_type), allocatable, intent(out) :: error
     type(task_result_type) :: found
-    type(task_index_type) :: task_index
     type(place_type) :: place
     integer :: k, group
     logical :: is_one
@@ -247,14 +249,15 @@ contains
     call new_results(results, plan%point_count, plan%replicas)
     if (.not. sources%are_held) call open_sources(sources, .false., error)
     if (size(sources%number) > 0 .or. sources%old%id /= no_handle) &
-      task_index = task_index_of(plan)
+      sources%task_index = task_index_of(plan)
     do k = 1, size(sources%number)
       place%file = k
       call open_rank_file(sources, k)
       do
         call next_result(sources%reader(k), found, place%at, is_one)
         if (.not. is_one) exit
-        call add_result(found, place, [(size(found%of(group)%values, 1), group=1, size(found%of))])
+        call add_result(plan, found, place, [(size(found%of(group)%values, 1), group=1, &
+          size(found%of))], sources, results)
       end do
       if (allocated(sources%reader(k)%error)) then
         call move_alloc(sources%reader(k)%error, error)
@@ -263,74 +266,76 @@ contains
       call close_rank_file(sources, k)
     end do
     if (any(results%task_status /= task_complete) .and. sources%old%id /= no_handle) &
-      call add_old_results()
+      call add_old_results(plan, sources, results, error)
     if (.not. allocated(error)) call decide_replicas(plan, results)
-
-  contains
-
-    !> Adds all complete tasks of the old file.
-    subroutine add_old_results()
-      type(results_type) :: before
-      integer :: r, p
-
-      associate (old => sources%old)
-        call read_results(old, before, error)
-        if (allocated(error)) then
-          if (error%code /= exit_bad_input) deallocate (error)
-          return
-        end if
-        do p = 1, size(before%task_status, 2)
-          do r = 1, old%plan%replicas
-            if (before%task_status(r, p) /= task_complete) cycle
-            found%status = task_complete
-            found%task_id = task_id_with(before%seed(r, p), plan, plan%final_state)
-            found%measured%average = before%average(r, p, :)
-            found%measured%error = before%error(r, p, :)
-            found%measured%counted = before%counted(r, p, :)
-            found%host = before%host(1 + before%counted(r, p, host_place()))%text
-            call add_result(found, place_type(at=r + (p - 1)*old%plan%replicas), old%length)
-          end do
-        end do
-      end associate
-    end subroutine add_old_results
-
-    !> Adds the numbers of a result if its task is one of the plan and has none already; stores the
-    !> place of its output, and updates the greatest lengths.
-    subroutine add_result(one, place, length)
-      type(task_result_type), intent(in) :: one
-      type(place_type), intent(in) :: place
-      !> Numbers of entries of the series and of events; greater than 0 if there are snapshots and a
-      !> final state.
-      integer, intent(in) :: length(4)
-      type(task_type) :: task
-      integer :: number
-
-      number = task_number_of(task_index, one%task_id)
-      if (number == 0) return
-      task = task_of(plan, number)
-      associate (p => task%point, r => task%replica)
-        if (results%task_status(r, p) == task_complete) return
-        results%task_status(r, p) = one%status
-        results%average(r, p, :) = one%measured%average
-        results%error(r, p, :) = one%measured%error
-        results%counted(r, p, :) = one%measured%counted
-        results%counted(r, p, host_place()) = index_in_list(one%host, results%host)
-      end associate
-      associate (n => task%number)
-        sources%length = max(sources%length, merge([length(series), n, n, length(events)], 0, &
-          length > 0))
-      end associate
-      sources%place(number) = place
-      results%failure(number) = string_type()
-      if (one%status == task_failed) results%failure(number)%text = one%message
-    end subroutine add_result
-
   end subroutine collect_results
 
-  !> Place of the host among the counted quantities.
+  !> Adds all complete tasks of the old file.
+  subroutine add_old_results(plan, sources, results, error)
+    type(plan_type), intent(in) :: plan
+    type(sources_type), intent(inout) :: sources
+    type(results_type), intent(inout) :: results
+    type(error_type), allocatable, intent(out) :: error
+    type(results_type) :: before
+    type(task_result_type) :: found
+    integer :: r, p
+
+    call read_results(sources%old, before, error)
+    if (allocated(error)) then
+      if (error%code /= exit_bad_input) deallocate (error)
+      return
+    end if
+    found%status = task_complete
+    do p = 1, size(before%task_status, 2)
+      do r = 1, size(before%task_status, 1)
+        if (before%task_status(r, p) /= task_complete) cycle
+        found%task_id = task_id_with(before%seed(r, p), plan)
+        found%measured%average = before%average(r, p, :)
+        found%measured%error = before%error(r, p, :)
+        found%measured%counted = before%counted(r, p, :)
+        found%host = before%host(1 + before%counted(r, p, host_place()))%text
+        call add_result(plan, found, place_type(at=r + (p - 1)*size(before%task_status, 1)), &
+          sources%old%length, sources, results)
+      end do
+    end do
+  end subroutine add_old_results
+
+  !> Adds the numbers of a result if its task is one of the plan and has none already; stores the
+  !> place of its output, and updates the greatest lengths.
+  subroutine add_result(plan, found, place, length, sources, results)
+    type(plan_type), intent(in) :: plan
+    type(task_result_type), intent(in) :: found
+    type(place_type), intent(in) :: place
+    !> Numbers of entries of the series and of events; greater than 0 if there are snapshots and a
+    !> final state.
+    integer, intent(in) :: length(4)
+    type(sources_type), intent(inout) :: sources
+    type(results_type), intent(inout) :: results
+    type(task_type) :: task
+    integer :: number
+
+    number = task_number_of(sources%task_index, found%task_id)
+    if (number == 0) return
+    task = task_of(plan, number)
+    associate (p => task%point, r => task%replica, n => task%setup%number)
+      if (results%task_status(r, p) == task_complete) return
+      results%task_status(r, p) = found%status
+      results%average(r, p, :) = found%measured%average
+      results%error(r, p, :) = found%measured%error
+      results%counted(r, p, :) = found%measured%counted
+      results%counted(r, p, host_place()) = index_in_list(found%host, results%host)
+      sources%length = max(sources%length, merge([length(series), n, n, length(events)], 0, &
+        length > 0))
+    end associate
+    sources%place(number) = place
+    results%failure(number) = string_type()
+    if (found%status == task_failed) results%failure(number)%text = found%message
+  end subroutine add_result
+
+  !> Place of the host among the integer quantities.
   pure integer function host_place()
 
-    host_place = place_of('provenance/host', counted_quantities())
+    host_place = place_of('provenance/host', integer_quantities())
   end function host_place
 
   !> Copies the output of every task to its place in a new file, in the order of the tasks. Does

@@ -6,12 +6,13 @@ module battery_plan_report
   use battery_engine, only: particles_type
   use battery_error, only: error_type
   use battery_json_report, only: write_plan_json
-  use battery_memory_estimate, only: estimate_type, every_rank
-  use battery_available_memory, only: size_text
+  use battery_available_memory, only: estimate_type, size_text
   use battery_merge, only: sources_type, close_sources
-  use battery_startup, only: progress_type, inspect_output, further_text
+  use battery_startup, only: progress_type, inspect_output, set_pending, further_text
   use battery_plan, only: plan_type, point_type, point_of
   use battery_plan_remarks, only: remarks_of
+  use battery_precision, only: decide_replicas
+  use battery_results, only: results_type, new_results
   use battery_signals, only: stop_requested, set_stop_error
   use battery_simulation, only: simulation_type, begin_simulation, advance_simulation
   use battery_table, only: channel1, channel2
@@ -41,6 +42,7 @@ contains
     type(error_type), allocatable, intent(out) :: error
     type(sources_type) :: sources
     type(progress_type) :: progress
+    type(results_type) :: results
     character(len=:), allocatable :: message
     type(string_type), allocatable :: remarks(:)
     real(dp) :: seconds, rate
@@ -48,7 +50,9 @@ contains
 
     message = ''
     if (overwrite) then
-      progress = initial_progress(plan)
+      call new_results(results, plan%point_count, plan%replicas)
+      call decide_replicas(plan, results)
+      call set_pending(plan, results, progress)
     else
       call inspect_output(plan, sources, progress, message, error)
       call close_sources(sources)
@@ -73,7 +77,7 @@ contains
     call print_row('results:', plan%file)
     call print_line('nothing was written')
     call write_plan_json(json, task_count(plan), size(progress%pending), seconds, &
-      every_rank + estimate%task, error)
+      estimate%task, error)
 
   contains
 
@@ -98,24 +102,13 @@ contains
 
   end subroutine print_plan_report
 
-  !> Progress of an ensemble that has no results yet: all tasks are pending.
-  function initial_progress(plan) result(progress)
-    type(plan_type), intent(in) :: plan
-    type(progress_type) :: progress
-    integer :: k
-
-    progress%pending = pack([(k, k=1, task_count(plan))], [(modulo(k - 1, plan%replicas) &
-      < plan%first_replicas, k=1, task_count(plan))])
-    progress%further = task_count(plan) - size(progress%pending)
-  end function initial_progress
-
   !> Prints the memory that a rank needs for tasks, that rank 0 needs at the end, and that is
   !> available.
   subroutine print_memory(estimate)
     type(estimate_type), intent(in) :: estimate
 
-    call print_row('memory:', 'about '//size_text(every_rank + estimate%task)//' a rank; rank 0 ' &
-      //'about '//size_text(every_rank + estimate%merge)//' at the end; ' &
+    call print_row('memory:', 'about '//size_text(estimate%task)//' a rank; rank 0 ' &
+      //'about '//size_text(estimate%merge)//' at the end; ' &
       //size_text(estimate%available%bytes)//' a rank are available (' &
       //estimate%available%limit//')')
     if (estimate%events > 0.0_dp) call print_row('', 'events take about ' &
@@ -245,7 +238,7 @@ contains
     do k = 1, tries
       task = task_of(plan, pending(1 + int(int(size(pending) - 1, int64)*(k - 1) &
         /max(tries - 1, 1))))
-      if (task%number > most) cycle
+      if (task%setup%number > most) cycle
       call initial_particles(task, plan%file_particles, particles, error)
       if (.not. allocated(error)) call begin_simulation(simulation, task%setup, particles, error)
       if (allocated(error)) return

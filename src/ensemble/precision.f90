@@ -13,7 +13,7 @@ module battery_precision
   use battery_kinds, only: wp, dp
   use battery_gsl, only: student_quantile, sort_order
   use battery_plan, only: plan_type
-  use battery_quantities, only: averaged_quantities, place_of, unknown_real
+  use battery_quantities, only: real_quantities, place_of, unknown_real
   use battery_results, only: results_type, task_complete, point_precise, point_not_precise, &
     point_two_states, point_undecided
   implicit none (type, external)
@@ -45,8 +45,7 @@ contains
     if (.not. any(asked)) return
     allocate (results%point_status(plan%point_count), source=point_undecided)
     allocate (results%replica_error(plan%point_count, 2), source=unknown_real())
-    place = [place_of('chi', averaged_quantities()), &
-      place_of('polarised_current', averaged_quantities())]
+    place = [place_of('chi', real_quantities()), place_of('polarised_current', real_quantities())]
     factor = student_quantile(below_one, real(n - 1, dp))
     do p = 1, plan%point_count
       if (any(results%task_status(:n, p) /= task_complete)) cycle

@@ -19,7 +19,8 @@ module battery_self_test
   use battery_results, only: results_type, all_tasks_complete
   use battery_results_file, only: results_file_type, open_results, read_results, close_results, &
     task_output_type, serialize_slabs, final
-  use battery_simulation, only: setup_type, simulation_type, begin_simulation, advance_simulation, &
+  use battery_setup, only: setup_type
+  use battery_simulation, only: simulation_type, begin_simulation, advance_simulation, &
     verify_simulation
   use battery_terminal, only: print_line
   use battery_text, only: to_text, count_text
@@ -307,6 +308,7 @@ contains
     integer :: k
 
     call open_results(plan%file, file, error)
+    file%plan = plan
     if (.not. allocated(error)) call read_results(file, results, error)
     if (allocated(error)) return
     if (size(results%seed, 1) /= plan%replicas .or. .not. all_tasks_complete(results)) &

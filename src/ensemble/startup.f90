@@ -25,8 +25,8 @@ module battery_startup
   use battery_text, only: string_type, to_text, count_text, new_line_character
   implicit none (type, external)
   private
-  public :: find_pending_tasks, find_further_tasks, progress_type, inspect_output, further_text
-  public :: accept_output
+  public :: find_pending_tasks, find_further_tasks, progress_type, inspect_output, set_pending
+  public :: further_text, accept_output
   public :: write_partial_results
 
   !> Progress of an ensemble.
@@ -178,7 +178,7 @@ contains
 
     allocate (progress%pending(0))
     message = ''
-    call inspect_results_file(plan, sources%old, progress%complete, damage, error)
+    call inspect_results_file(plan, .false., sources%old, progress%complete, damage, error)
     if (.not. allocated(error)) call inspect_journal(plan, progress%complete, &
       sources%journal_type, error)
     if (.not. allocated(error)) call collect_results(plan, sources, results, error)
@@ -200,8 +200,7 @@ contains
         //', and writes it anew from '//journal_folder(plan)//new_line_character
     end if
     progress%is_damaged = allocated(damage)
-    progress%pending = pending_tasks(plan, results)
-    if (allocated(results%point_status)) call estimate_further_tasks(plan, results, progress)
+    call set_pending(plan, results, progress)
     if (found) message = message//'going on: '//to_text(progress%finished)//' of ' &
       //to_text(progress%finished + size(progress%pending))//' tasks are finished' &
       //further_text(progress)
@@ -219,20 +218,24 @@ contains
       //' more as the first replicas tell'
   end function further_text
 
-  !> Estimates the number of tasks of points whose first replicas are not complete.
-  pure subroutine estimate_further_tasks(plan, results, progress)
+  !> Sets the pending tasks, and estimates the number of tasks of points whose first replicas are
+  !> not complete.
+  pure subroutine set_pending(plan, results, progress)
     type(plan_type), intent(in) :: plan
+    !> Results, for which `decide_replicas` was called.
     type(results_type), intent(in) :: results
     type(progress_type), intent(inout) :: progress
-    logical :: decided(size(results%point_status))
+    logical :: decided(plan%point_count)
     integer :: others
 
+    progress%pending = pending_tasks(plan, results)
+    if (.not. allocated(results%point_status)) return
     decided = results%point_status /= point_undecided
     others = count(.not. decided)
     progress%further = others*(plan%replicas - plan%first_replicas)
     if (any(decided)) progress%expected = others*(real(sum(results%replicas_needed, decided), dp) &
       /count(decided) - plan%first_replicas)
-  end subroutine estimate_further_tasks
+  end subroutine set_pending
 
   !> Path under which a damaged results file of a plan is kept.
   pure function damaged_file(plan) result(path)
@@ -251,8 +254,10 @@ contains
   end function journal_folder
 
   !> Inspects the results file, which must be of this input, or of one that this input extends.
-  subroutine inspect_results_file(plan, file, complete, damage, error)
+  subroutine inspect_results_file(plan, is_read, file, complete, damage, error)
     type(plan_type), intent(in) :: plan
+    !> Whether its numbers are needed if it is complete, too.
+    logical, intent(in) :: is_read
     !> The file, open if it is there and undamaged.
     type(results_file_type), intent(inout) :: file
     !> Whether no task is pending.
@@ -261,22 +266,41 @@ contains
     type(error_type), allocatable, intent(out) :: damage
     !> The file is of another input, or no results file; code `exit_bad_input`.
     type(error_type), allocatable, intent(out) :: error
-    logical :: same
 
     complete = .false.
     if (.not. file_exists(plan%file)) return
     call open_results(plan%file, file, error)
     if (.not. allocated(error)) then
-      call compare_inputs(plan, file%namelist, file%initial_fingerprint, same, error)
-      complete = same .and. file%status == 'complete'
-      if (.not. (complete .or. allocated(error)) .and. file%version /= program_version) &
-        call fatal_error(error, plan%file//' was made by version '//file%version//', and this is ' &
-        //program_version//'; name another output file, or discard it with --overwrite', &
-        exit_bad_input)
+      call check_input_of(file, plan, is_read, complete, error)
     else if (error%code == exit_failure) then
       call move_alloc(error, damage)
     end if
   end subroutine inspect_results_file
+
+  !> An error if a results file is of an input that a plan does not extend, or of another version:
+  !> its datasets cannot be read.
+  subroutine check_input_of(file, plan, is_read, complete, error)
+    !> The file, open; its plan is set here. One of another version that need not be read is closed.
+    type(results_file_type), intent(inout) :: file
+    type(plan_type), intent(in) :: plan
+    !> Whether its numbers are needed if it is complete, too.
+    logical, intent(in) :: is_read
+    !> Whether it has all tasks of the plan.
+    logical, intent(out) :: complete
+    type(error_type), allocatable, intent(out) :: error
+    logical :: same
+
+    call compare_inputs(plan, file%namelist, file%initial_fingerprint, file%plan, same, error)
+    complete = same .and. file%status == 'complete'
+    if (allocated(error) .or. file%version == program_version) return
+    if (complete .and. .not. is_read) then
+      call close_results(file)
+    else
+      call fatal_error(error, plan%file//' was made by version '//file%version//', and this is ' &
+        //program_version//'; name another output file, or discard it with --overwrite', &
+        exit_bad_input)
+    end if
+  end subroutine check_input_of
 
   !> Gives the results file of a plan a new footer, if it was cut off, and the contents are results
   !> of this input, or of one that this input extends.
@@ -289,7 +313,7 @@ contains
     type(results_file_type) :: file
     type(results_type) :: results
     type(lock_type) :: lock
-    logical :: lacks_footer, same
+    logical :: lacks_footer, complete
 
     message = ''
     if (.not. file_exists(plan%file)) then
@@ -300,10 +324,7 @@ contains
     if (allocated(error)) return
     call open_results(plan%file, file, error, lacks_footer)
     if (.not. allocated(error) .and. lacks_footer) then
-      call compare_inputs(plan, file%namelist, file%initial_fingerprint, same, error)
-      if (.not. allocated(error) .and. file%version /= program_version) call fatal_error(error, &
-        plan%file//' was made by version '//file%version//'; this one, '//program_version &
-        //', cannot check it', exit_bad_input)
+      call check_input_of(file, plan, .true., complete, error)
       if (.not. allocated(error)) call accept_results(plan%file, file, results, error)
       if (.not. allocated(error)) message = plan%file//': accepted as it is, with a new digest: ' &
         //'its structure and its seeds are those of its namelist; ' &
@@ -335,7 +356,7 @@ contains
     message = ''
     partial = plan
     partial%file = plan%file//'.partial.h5'
-    call inspect_results_file(partial, file, was_complete, damage, error)
+    call inspect_results_file(partial, .false., file, was_complete, damage, error)
     call close_results(file)
     if (.not. allocated(error)) call move_alloc(damage, error)
     if (allocated(error)) then
@@ -346,11 +367,8 @@ contains
     end if
     call inspect_journal(plan, .true., sources%journal_type, error)
     if (.not. allocated(error)) call open_sources(sources, .true., error)
-    if (.not. allocated(error)) call inspect_results_file(plan, sources%old, complete, damage, &
-      error)
-    if (.not. allocated(error) .and. complete .and. sources%old%version /= program_version) &
-      call fatal_error(error, plan%file//': is complete, and of version '//sources%old%version &
-      //'; a partial file of '//program_version//' cannot be made from it', exit_bad_input)
+    if (.not. allocated(error)) call inspect_results_file(plan, .true., sources%old, complete, &
+      damage, error)
     if (.not. allocated(error)) call collect_results(plan, sources, results, error)
     if (.not. allocated(error)) then
       if (all(results%task_status /= task_complete)) call fatal_error(error, plan%file &
@@ -398,13 +416,14 @@ contains
     type(error_type), allocatable, intent(out) :: error
     integer(int64), allocatable :: task_id(:)
     type(task_index_type) :: task_index
+    type(plan_type) :: before
     logical :: same
     integer :: k
 
     call find_journal(journal, journal_folder(plan), error)
     if (allocated(error)) return
     if (journal%has_plan) then
-      call compare_inputs(plan, journal%namelist, journal%initial_fingerprint, same, error)
+      call compare_inputs(plan, journal%namelist, journal%initial_fingerprint, before, same, error)
     else if (.not. complete) then
       call find_task_ids(journal, task_id, error)
       if (allocated(error) .or. size(task_id) == 0) return
@@ -418,28 +437,28 @@ contains
 
   !> An error unless the plan has all tasks of an earlier input, so that their results can be used;
   !> the initial file must be the same, too.
-  subroutine compare_inputs(plan, before, initial_fingerprint, same, error)
+  subroutine compare_inputs(plan, text, initial_fingerprint, before, same, error)
     type(plan_type), intent(in) :: plan
-    character(len=*), intent(in) :: before
+    !> Its namelist.
+    character(len=*), intent(in) :: text
     integer(int64), intent(in) :: initial_fingerprint
+    !> Its plan.
+    type(plan_type), intent(out) :: before
     !> Whether the plan has no other tasks than the earlier input.
     logical, intent(out) :: same
     type(error_type), allocatable, intent(out) :: error
     character(len=:), allocatable :: keys, longer
-    type(plan_type) :: old
     type(error_type), allocatable :: wrong
 
-    keys = differing_keys(before, plan%settings)
+    call parse_namelist(text, plan%file, before, wrong)
+    before%initial_fingerprint = initial_fingerprint
+    keys = differing_keys(before%settings, plan%settings)
     same = keys == '' .and. initial_fingerprint == plan%initial_fingerprint
     if (same) return
     if (keys == '') then
       keys = '&particles initial_file: '''//plan%initial_file//''' has other contents now'
-    else
-      call parse_namelist(before, plan%file, old, wrong)
-      old%initial_fingerprint = initial_fingerprint
-      if (.not. allocated(wrong)) then
-        if (has_all_of(plan, old)) return
-      end if
+    else if (.not. allocated(wrong)) then
+      if (has_all_of(plan, before)) return
     end if
     longer = ''
     if (index(keys, '&run collisions') > 0 .or. index(keys, '&run duration') > 0) longer = &

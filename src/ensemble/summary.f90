@@ -8,7 +8,7 @@ module battery_summary
   use battery_table, only: channel1, channel2
   use battery_tasks, only: task_count
   use battery_precision, only: cut_between_groups
-  use battery_quantities, only: averaged_quantities, counted_quantities, place_of
+  use battery_quantities, only: real_quantities, integer_quantities, place_of
   use battery_results, only: results_type, task_complete, task_not_asked, &
     point_two_states, point_not_precise
   use battery_columns, only: whole_text, number_text, rate_text
@@ -76,7 +76,7 @@ contains
     if (ranks > 1) rate = rate//', busy for '//to_text(nint(100.0_dp*busy))//' % of the time'
     call print_line(rate)
     if (done > 0) call print_slowest(plan, results)
-    if (any(results%counted(:, :, place_of('trapped', counted_quantities())) > 0)) &
+    if (any(results%counted(:, :, place_of('trapped', integer_quantities())) > 0)) &
       call print_line('some particles are on orbits that never leave: see the dataset trapped')
     if (results%short_tasks > 0) call print_line(to_text(results%short_tasks)//' of the complete ' &
       //'tasks ended before the last of snapshot_times: the later snapshots are NaN')
@@ -166,7 +166,7 @@ contains
   elemental integer function places(k)
     integer, intent(in) :: k
 
-    places = place_of(trim(names(k)), averaged_quantities())
+    places = place_of(trim(names(k)), real_quantities())
   end function places
 
   !> The head of a table; `which`: what its fifth column is.
@@ -291,7 +291,7 @@ contains
     real(dp), allocatable :: cpu_seconds(:, :)
     integer :: at(2)
 
-    cpu_seconds = results%average(:, :, place_of('cpu_seconds', averaged_quantities()))
+    cpu_seconds = results%average(:, :, place_of('cpu_seconds', real_quantities()))
     at = maxloc(cpu_seconds, mask=results%task_status == task_complete)
     call print_line('slowest task: '//duration_text(cpu_seconds(at(1), at(2))) &
       //' of a processor, '//task_text(plan, (at(2) - 1)*plan%replicas + at(1)))

@@ -10,7 +10,7 @@ module battery_task_loop
   use battery_error, only: error_type, exit_failure, exit_stopped_early
   use battery_journal, only: journal_type, read_state, write_state, write_finished, &
     sync_finished
-  use battery_available_memory, only: check_memory
+  use battery_available_memory, only: need_type, check_memory
   use battery_lock_file, only: is_lock_lost
   use battery_plan, only: plan_type
   use battery_process, only: exit_process
@@ -233,9 +233,11 @@ contains
     logical :: resumed
 
     cpu_before = 0.0_dp
-    call check_memory(bytes_per_particle(task%setup%engine, &
-      any(task%setup%table%urn%truncates_passages))*task%number, to_text(task%number) &
-      //' particles', failure)
+    associate (setup => task%setup)
+      call check_memory(need_type(bytes_per_particle(setup%engine, &
+        any(setup%table%urn%truncates_passages))*setup%number), to_text(setup%number) &
+        //' particles', failure)
+    end associate
     if (allocated(failure)) return
     call read_state(journal, task, simulation, cpu_before, resumed, failure, error)
     if (resumed .or. allocated(failure) .or. allocated(error)) return

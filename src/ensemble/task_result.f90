@@ -76,7 +76,7 @@ contains
     do k = 1, simulation%snapshots_taken
       found%of(snapshots)%values(n*(k - 1) + 1:n*k, :) = states_of(simulation%snapshot(k))
     end do
-    if (task%final_state) then
+    if (task%setup%final_state) then
       call simulation%engine%get_particles(1, n, particles)
       found%of(final)%values = states_of(particles)
     end if

@@ -11,7 +11,7 @@ module battery_tasks
   use battery_identity, only: task_id_with
   use battery_initial_state, only: random_particles
   use battery_plan, only: plan_type, point_type, point_of, table_of, setup_of
-  use battery_simulation, only: setup_type
+  use battery_setup, only: setup_type
   use battery_table, only: table_type
   implicit none (type, external)
   private
@@ -23,10 +23,8 @@ module battery_tasks
     !> Number of the task from 1; its point and replica.
     integer :: task = 0, point = 0, replica = 0
     type(setup_type) :: setup
-    integer :: number = 0, urn1_number = 0
     !> Hash of the task and its output: names its records of result and saved state.
     integer(int64) :: task_id = 0
-    logical :: final_state = .false.
   end type task_type
 
   !> Numbers of the tasks of a plan by their `task_id`: a hash table that is never full.
@@ -52,17 +50,12 @@ contains
     type(plan_type), intent(in) :: plan
     integer, intent(in) :: number
     type(task_type) :: task
-    type(point_type) :: point
 
     task%task = number
     task%point = (number - 1)/plan%replicas + 1
     task%replica = number - (task%point - 1)*plan%replicas
-    point = point_of(plan, task%point)
-    task%number = point%number
-    task%urn1_number = point%urn1_number
-    task%final_state = plan%final_state
     task%setup = setup_of(plan, task%point, task%replica)
-    task%task_id = task_id_with(task%setup%seed, task%setup, task%final_state)
+    task%task_id = task_id_with(task%setup%seed, task%setup)
   end function task_of
 
   !> Makes the index of all tasks of a plan.
@@ -178,8 +171,10 @@ contains
     if (allocated(start%x)) then
       particles = start
     else
-      call random_particles(task%setup%table, task%number, task%urn1_number, task%setup%seed, &
-        particles, error)
+      associate (setup => task%setup)
+        call random_particles(setup%table, setup%number, setup%urn1_number, setup%seed, &
+          particles, error)
+      end associate
     end if
   end subroutine initial_particles
 

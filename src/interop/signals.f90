@@ -12,8 +12,8 @@ module battery_signals
   use battery_error, only: error_type, fatal_error, exit_stopped_early
   implicit none (type, external)
   private
-  public :: watch_signals, stop_requested, request_stop_after, clear_stop_request, set_stop_error, &
-    signals_watch, signal_received
+  public :: watch_signals, stop_requested, request_stop_after, set_stop_error, signals_watch, &
+    signal_received
 
   !> Names of the signals, in the order of the list in signals.c.
   character(len=*), parameter :: names(6) = ['SIGINT ', 'SIGUSR1', 'SIGTERM', 'SIGUSR2', &
@@ -24,7 +24,7 @@ module battery_signals
 
   ! `signals_watch` also serves to set the handlers again after a library has changed them: unlike
   ! `watch_signals`, it does not move the start of the time limit.
-  procedure(action), bind(c) :: signals_watch, signals_forget
+  procedure(action), bind(c) :: signals_watch
   procedure(returns_number), bind(c) :: signals_received
 
 contains
@@ -69,11 +69,5 @@ contains
     if (which > 0) reason = trim(names(which))
     call fatal_error(error, 'stopped by '//reason//'; nothing was written', exit_stopped_early)
   end subroutine set_stop_error
-
-  !> Clears stop requests; for tests.
-  subroutine clear_stop_request()
-    call signals_forget()
-    deadline = huge(1.0_dp)
-  end subroutine clear_stop_request
 
 end module battery_signals

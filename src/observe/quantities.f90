@@ -9,7 +9,7 @@ module battery_quantities
   use battery_fingerprint, only: fingerprint_start, fingerprint_of, mix_word
   implicit none (type, external)
   private
-  public :: quantity_type, averaged_quantities, counted_quantities, place_of
+  public :: quantity_type, real_quantities, integer_quantities, place_of
   public :: measured_type, new_measured, set_average, set_count
   public :: fingerprint_of_quantities, flow_names, unknown_real, unknown_count
 
@@ -41,7 +41,7 @@ module battery_quantities
 contains
 
   !> All real quantities.
-  pure function averaged_quantities() result(list)
+  pure function real_quantities() result(list)
     type(quantity_type), allocatable :: list(:)
 
     list = [ &
@@ -67,10 +67,10 @@ contains
       quantity_type('cpu_seconds', 's', 'processor time'), &
       quantity_type('provenance/begun', since_1970, 'when the task began or was last resumed'), &
       quantity_type('provenance/ended', since_1970, 'when the task ended')]
-  end function averaged_quantities
+  end function real_quantities
 
   !> All integer quantities.
-  pure function counted_quantities() result(list)
+  pure function integer_quantities() result(list)
     type(quantity_type), allocatable :: list(:)
 
     list = [ &
@@ -80,13 +80,13 @@ contains
       quantity_type('reversals', '1', 'reversals of gates, those of the transient included'), &
       quantity_type('trapped', '1', 'particles that never leave their urn or channel'), &
       quantity_type('provenance/host', '1', 'line of the attribute hosts of /provenance, from 0')]
-  end function counted_quantities
+  end function integer_quantities
 
   !> Index of a quantity in a list; 0 if the list does not have it.
   pure function place_of(name, list) result(place)
     !> As in results files.
     character(len=*), intent(in) :: name
-    !> `averaged_quantities()` or `counted_quantities()`.
+    !> `real_quantities()` or `integer_quantities()`.
     type(quantity_type), intent(in) :: list(:)
     integer :: place
 
@@ -99,15 +99,15 @@ contains
   pure function new_measured() result(measured)
     type(measured_type) :: measured
 
-    allocate (measured%average(size(averaged_quantities())), source=unknown_real())
+    allocate (measured%average(size(real_quantities())), source=unknown_real())
     allocate (measured%error(size(measured%average)), source=unknown_real())
-    allocate (measured%counted(size(counted_quantities())), source=unknown_count)
+    allocate (measured%counted(size(integer_quantities())), source=unknown_count)
   end function new_measured
 
   !> Sets an average.
   pure subroutine set_average(measured, name, value, error)
     type(measured_type), intent(inout) :: measured
-    !> Name in the list of averaged quantities.
+    !> Name in the list of real quantities.
     character(len=*), intent(in) :: name
     !> In the unit of the quantity; NaN if unknown.
     real(dp), intent(in) :: value
@@ -115,7 +115,7 @@ contains
     real(dp), intent(in), optional :: error
     integer :: place
 
-    place = place_of(name, averaged_quantities())
+    place = place_of(name, real_quantities())
     if (place == 0) error stop 'a quantity is measured that is not declared'
     measured%average(place) = value
     if (present(error)) measured%error(place) = error
@@ -124,13 +124,13 @@ contains
   !> Sets a count.
   pure subroutine set_count(measured, name, count)
     type(measured_type), intent(inout) :: measured
-    !> Name in the list of counted quantities.
+    !> Name in the list of integer quantities.
     character(len=*), intent(in) :: name
     !> The count.
     integer(int64), intent(in) :: count
     integer :: place
 
-    place = place_of(name, counted_quantities())
+    place = place_of(name, integer_quantities())
     if (place == 0) error stop 'a quantity is counted that is not declared'
     measured%counted(place) = count
   end subroutine set_count
@@ -146,7 +146,7 @@ contains
 
     fingerprint = fingerprint_start
     call mix_word(fingerprint, meaning)
-    list = [averaged_quantities(), counted_quantities()]
+    list = [real_quantities(), integer_quantities()]
     do k = 1, size(list)
       call mix_word(fingerprint, fingerprint_of(trim(list(k)%name)))
     end do

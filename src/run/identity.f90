@@ -10,7 +10,7 @@ module battery_identity
   use battery_engines, only: has_step
   use battery_fingerprint, only: fingerprint_start, fingerprint_of, mix_word
   use battery_random, only: splitmix64
-  use battery_simulation, only: run_type, setup_type
+  use battery_setup, only: run_type, setup_type
   use battery_urn, only: shape_polygon
   implicit none (type, external)
   private
@@ -19,12 +19,9 @@ module battery_identity
 contains
 
   !> The identity of a task, which is its seed as well.
-  function identity_of(setup, number, urn1_number, initial_fingerprint, seed, replica) &
-      result(identity)
-    !> Table, thresholds, engine and length; its seed is not used.
+  function identity_of(setup, initial_fingerprint, seed, replica) result(identity)
+    !> Table, thresholds, numbers, engine and length; its seed is not used.
     type(setup_type), intent(in) :: setup
-    !> Number of particles, and number of those that start in urn 1.
-    integer, intent(in) :: number, urn1_number
     !> Fingerprint of the initial file; 0: the start is random.
     integer(int64), intent(in) :: initial_fingerprint
     !> Base seed of the run.
@@ -67,8 +64,8 @@ contains
       call mix_word(identity, setup%transient_collisions)
     end if
     call mix_real(identity, setup%start_time)
-    call mix_word(identity, int(number, int64))
-    call mix_word(identity, merge(int(urn1_number, int64), initial_fingerprint, &
+    call mix_word(identity, int(setup%number, int64))
+    call mix_word(identity, merge(int(setup%urn1_number, int64), initial_fingerprint, &
       initial_fingerprint == 0))
     call mix_word(identity, seed)
     call mix_word(identity, int(replica, int64))
@@ -77,12 +74,10 @@ contains
 
   !> `task_id` of a task together with its output, a hash: the task, and which series, snapshots and
   !> so on are stored.
-  integer(int64) function task_id_with(identity, run, final_state) result(task_id)
+  integer(int64) function task_id_with(identity, run) result(task_id)
     !> Identity of the task, from `identity_of`.
     integer(int64), intent(in) :: identity
     class(run_type), intent(in) :: run
-    !> Whether the final state is stored.
-    logical, intent(in) :: final_state
     integer :: k
 
     task_id = identity
@@ -92,7 +87,7 @@ contains
       call mix_real(task_id, run%snapshot_times(k))
     end do
     call mix_word(task_id, merge(1_int64, 0_int64, run%event_log))
-    call mix_word(task_id, merge(1_int64, 0_int64, final_state))
+    call mix_word(task_id, merge(1_int64, 0_int64, run%final_state))
     task_id = splitmix64(task_id)
   end function task_id_with
 

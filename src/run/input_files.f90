@@ -14,7 +14,7 @@ module battery_input_files
   use battery_plan, only: plan_type, point_type, refuse_value, point_of, point_text, table_of
   implicit none (type, external)
   private
-  public :: read_namelist, part_of_output
+  public :: read_namelist, part_of_output, reason_unwritable
 
   !> Bytes of the longest namelist; a longer file is taken for no namelist.
   integer(int64), parameter :: longest_namelist = 64000000_int64
@@ -51,7 +51,7 @@ contains
   subroutine check_files(plan)
     type(plan_type), intent(inout) :: plan
     type(error_type), allocatable :: error
-    character(len=:), allocatable :: folder, reason
+    character(len=:), allocatable :: reason
 
     if (is_pipe_or_device(plan%initial_file)) call refuse_value(plan, 'initial_file', &
       ''''//plan%initial_file//''': this is a pipe or a device', 'a file')
@@ -60,23 +60,13 @@ contains
       '1, and no &precision, since all would be one run, from &particles initial_file')
     if (plan%file == '') return
     call follow_links(plan%file, error)
-    folder = folder_of(plan%file)
-    reason = ''
     if (allocated(error)) then
       reason = error%message
-    else if (.not. is_folder(folder)) then
-      reason = 'the folder '//folder//' does not exist'
-    else if (.not. is_writable(folder)) then
-      reason = 'the folder '//folder//' cannot be written to'
-    else if (is_folder(plan%file)) then
-      reason = 'this is a folder'
-    else if (is_pipe_or_device(plan%file)) then
-      reason = 'this is a pipe or a device'
-    else if (file_exists(plan%file) .and. .not. is_writable(plan%file)) then
-      reason = 'the file cannot be written to'
-    else if (is_folder(plan%file//'.part')) then
-      reason = 'there is a folder '//plan%file//'.part'
+    else
+      reason = reason_unwritable(plan%file, .true.)
     end if
+    if (reason == '' .and. is_folder(plan%file//'.part')) &
+      reason = 'there is a folder '//plan%file//'.part'
     if (reason == '') then
       reason = part_of_output(plan%file, plan%input_file)
       if (reason == '' .and. plan%initial_file /= '') &
@@ -86,6 +76,29 @@ contains
     if (reason /= '') call refuse_value(plan, 'file', ''''//plan%file//''': '//reason, &
       'a file in a folder that exists and can be written to')
   end subroutine check_files
+
+  !> Why a file cannot be written; empty: it can.
+  function reason_unwritable(path, is_replaced) result(reason)
+    !> Path of the file, which need not exist.
+    character(len=*), intent(in) :: path
+    !> Whether a new file takes its place if it exists: then its folder must be writable.
+    logical, intent(in) :: is_replaced
+    character(len=:), allocatable :: reason, folder
+
+    folder = folder_of(path)
+    reason = ''
+    if (.not. is_folder(folder)) then
+      reason = 'the folder '//folder//' does not exist'
+    else if (.not. is_writable(folder) .and. (is_replaced .or. .not. file_exists(path))) then
+      reason = 'the folder '//folder//' cannot be written to'
+    else if (is_folder(path)) then
+      reason = 'this is a folder'
+    else if (is_pipe_or_device(path)) then
+      reason = 'this is a pipe or a device'
+    else if (file_exists(path) .and. .not. is_writable(path)) then
+      reason = 'the file cannot be written to'
+    end if
+  end function reason_unwritable
 
   !> What a path is to the output, by whatever names and links; empty: nothing. Such an input file
   !> would be destroyed by the results; such a file of an option would destroy them.

@@ -16,6 +16,10 @@ module battery_keys
     key_width(2) = [4, 5], key_length(2) = [6, 7], key_radius = 8, key_urn1_fraction = 9
   integer, parameter, public :: scannable = key_urn1_fraction
 
+  !> Names of the keys of the corners of urn 1 and urn 2.
+  character(len=*), parameter, public :: corner_keys(2) = [character(len=13) :: 'urn_vertices', &
+    'urn2_vertices']
+
   !> Greatest number of particles: the engines store up to ten numbers per particle in one array,
   !> whose indices have 32 bits.
   integer(int64), parameter :: most_particles = 200000000_int64

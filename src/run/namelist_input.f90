@@ -10,7 +10,7 @@ module battery_namelist_input
   use battery_settings, only: settings_type, read_settings, find_setting, is_given, &
     get_value, get_list, get_text
   use battery_key, only: key_type, whole_key, is_beyond, longest_range
-  use battery_keys, only: all_keys, key_length
+  use battery_keys, only: all_keys, key_length, corner_keys
   use battery_identity, only: twelve_digits
   use battery_plan, only: plan_type, scanned_type, points_text, refuse_value, refuse_key, &
     is_scanned
@@ -112,23 +112,22 @@ contains
   subroutine fill_outlines(settings, plan)
     type(settings_type), intent(in) :: settings
     type(plan_type), intent(inout) :: plan
-    character(len=*), parameter :: key(2) = [character(len=13) :: 'urn_vertices', 'urn2_vertices']
     real(wp), allocatable :: numbers(:)
     integer :: urn
 
     call get_text(settings, 'table', 'urn_shape', plan%urn_shape)
     call get_value(settings, 'table', 'urn_sides', plan%urn_sides)
     do urn = 1, 2
-      call get_list(settings, 'table', trim(key(urn)), numbers)
+      call get_list(settings, 'table', trim(corner_keys(urn)), numbers)
       if (size(numbers) == 0) cycle
       if (modulo(size(numbers), 2) /= 0 .and. plan%urn_shape /= 'disc') then
-        call refuse_key(plan, trim(key(urn)), 'has '//to_text(size(numbers))//' numbers', &
+        call refuse_key(plan, trim(corner_keys(urn)), 'has '//to_text(size(numbers))//' numbers', &
           'two for each corner, x1, y1, x2, y2, ...')
         cycle
       end if
       plan%outline(urn)%corner = reshape(numbers, [2, size(numbers)/2])
       if (is_given(settings, 'table', 'urn_radius')) call refuse_key(plan, 'urn_radius', &
-        'is given beside '//trim(key(urn)), 'one of the two')
+        'is given beside '//trim(corner_keys(urn)), 'one of the two')
     end do
   end subroutine fill_outlines
 
@@ -316,18 +315,15 @@ contains
 
   !> Keys in which two inputs differ, one per line with both values; empty if they describe the same
   !> run. Notation, defaults, limits and the name of the output file make no difference.
-  function differing_keys(old, new) result(text)
-    !> Text of a namelist without errors, and the settings of a plan.
-    character(len=*), intent(in) :: old
-    type(settings_type), intent(in) :: new
+  pure function differing_keys(old, new) result(text)
+    !> Settings of two plans.
+    type(settings_type), intent(in) :: old, new
     character(len=:), allocatable :: text
-    type(settings_type) :: before
     integer :: at
 
-    call read_settings(old, all_keys(), before)
     text = ''
     do at = 1, size(new%all)
-      associate (key => new%all(at)%key, was => before%all(at)%canonical, &
+      associate (key => new%all(at)%key, was => old%all(at)%canonical, &
         is => new%all(at)%canonical)
         if (was == is .or. .not. key%changes_results) cycle
         if (text /= '') text = text//new_line_character

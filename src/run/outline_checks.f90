@@ -7,7 +7,7 @@ module battery_outline_checks
   use battery_corners, only: enclosed_area, reversed_corners, next_corner, distance_to_side, &
     sides_meet, side_distance, side_on_axis
   use battery_polygon, only: upright
-  use battery_keys, only: key_radius, key_width
+  use battery_keys, only: key_radius, key_width, corner_keys
   use battery_plan, only: plan_type, point_type, refuse_value, refuse_key, is_scanned, corners_of
   use battery_text, only: to_text
   implicit none (type, external)
@@ -17,9 +17,6 @@ module battery_outline_checks
   !> The shortest side, and the narrowest gap between sides, in units of the width. A particle in a
   !> gap hits a wall each time that it has crossed it: 4e6 hits in a passage through a narrower one.
   real(wp), parameter :: narrowest = 1.0e-6_wp
-
-  !> The keys of the corners.
-  character(len=*), parameter :: key_of(2) = [character(len=13) :: 'urn_vertices', 'urn2_vertices']
 
 contains
 
@@ -40,7 +37,7 @@ contains
 
     associate (all => plan%settings%all)
       has_valid_outlines = .not. any(all%given .and. .not. all%known .and. (all%key%name &
-        == 'urn_sides' .or. all%key%name == key_of(1) .or. all%key%name == key_of(2)))
+        == 'urn_sides' .or. all%key%name == corner_keys(1) .or. all%key%name == corner_keys(2)))
     end associate
     do at = 1, size(plan%problems)
       if (index(plan%problems(at)%key, 'urn_') == 1 .or. index(plan%problems(at)%key, 'urn2_') &
@@ -80,7 +77,7 @@ contains
         polygons)
       do urn = 1, 2
         if (allocated(plan%outline(urn)%corner)) &
-          call refuse_key(plan, trim(key_of(urn)), 'is given', polygons)
+          call refuse_key(plan, trim(corner_keys(urn)), 'is given', polygons)
       end do
       return
     end if
@@ -111,7 +108,7 @@ contains
     integer :: before, k, n
 
     before = size(plan%problems)
-    key = trim(key_of(urn))
+    key = trim(corner_keys(urn))
     associate (corner => plan%outline(urn)%corner)
       n = size(corner, 2)
       if (n < 3) then
@@ -206,7 +203,7 @@ contains
         else
           what = 'has '//side_text(side, n)//', which is not upright'
         end if
-        call refuse_key(plan, trim(key_of(urn)), what//', where channel '//to_text(channel) &
+        call refuse_key(plan, trim(corner_keys(urn)), what//', where channel '//to_text(channel) &
           //' is to begin', 'an upright side that the axis y = 0 crosses farthest to the ' &
           //trim(merge('right', 'left ', channel == 1)))
       end do
@@ -225,7 +222,7 @@ contains
 
     if (plan%urn_shape /= 'polygon') return
     do urn = 1, merge(1, 2, plan%shape == 'urn')
-      key = trim(key_of(urn))
+      key = trim(corner_keys(urn))
       if (urn == 2 .and. .not. urns_differ(plan, point)) cycle
       associate (corner => corners_of(plan, point, urn))
         n = size(corner, 2)

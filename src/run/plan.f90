@@ -14,7 +14,7 @@ module battery_plan
     shape_urn, channel1, channel2
   use battery_corners, only: regular_corners
   use battery_engine, only: particles_type
-  use battery_simulation, only: run_type, setup_type
+  use battery_setup, only: run_type, setup_type
   use battery_identity, only: identity_of
   use battery_findings, only: finding_type, point_findings_type, finding_of, of_state, &
     of_remark
@@ -99,7 +99,6 @@ module battery_plan
     type(particles_type) :: file_particles
     !> Name of the results file.
     character(len=:), allocatable :: file
-    logical :: final_state = .false.
     real(wp) :: wall_minutes = 0.0_wp, checkpoint_minutes = 0.0_wp
     !> Problems of the plan.
     type(finding_type), allocatable :: problems(:)
@@ -302,9 +301,10 @@ contains
     at = point_of(plan, point)
     setup%run_type = plan%run_type
     setup%table = table_of(plan, at)
+    setup%number = at%number
+    setup%urn1_number = at%urn1_number
     setup%threshold = at%threshold
-    setup%seed = identity_of(setup, at%number, at%urn1_number, plan%initial_fingerprint, &
-      plan%seed, replica)
+    setup%seed = identity_of(setup, plan%initial_fingerprint, plan%seed, replica)
   end function setup_of
 
 end module battery_plan

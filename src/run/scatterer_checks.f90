@@ -8,7 +8,7 @@ module battery_scatterer_checks
   use battery_kinds, only: wp
   use battery_text, only: to_text, numbers_text
   use battery_bounds, only: finest
-  use battery_plan, only: plan_type, point_type, refuse_key, is_scanned
+  use battery_plan, only: plan_type, point_type, refuse_key, values_of
   use battery_table, only: channel2
   implicit none (type, external)
   private
@@ -50,15 +50,15 @@ contains
         if (.not. radius >= least) then
           call add(' is too small', 'a radius from '//to_text(least)//' up', k)
         else if (.not. abs(y) - radius <= half_width - least) then
-          call add(' is outside of the channel', '|y| - radius below channel2_width/2, ' &
-            //'which is '//to_text(half_width)//gap, k)
+          call add(' is outside of the channel', '|y| - radius below channel2_width/2' &
+            //which_is(half_width, 'channel2_width')//gap, k)
         else if (.not. abs(half_width - abs(y) - radius) >= least) then
           call add(' touches a wall of the channel', '|y| + radius below or above ' &
-            //'channel2_width/2, which is '//to_text(half_width)//gap, k)
+            //'channel2_width/2'//which_is(half_width, 'channel2_width')//gap, k)
         else if (.not. abs(z) + reach_of(y, radius) <= half_length - least) then
           call add(' reaches into an opening', '|z| + '//to_text(reach_of(y, radius)) &
-            //', which is how far it reaches within the channel, below channel2_length/2, ' &
-            //'which is '//to_text(half_length)//gap, k)
+            //', which is how far it reaches within the channel, below channel2_length/2' &
+            //which_is(half_length, 'channel2_length')//gap, k)
         end if
         do other = 1, k - 1
           if (hypot(values(3*other - 2) - z, values(3*other - 1) - y) >= values(3*other) + radius &
@@ -79,20 +79,26 @@ contains
       reach = sqrt((radius - beyond)*(radius + beyond))
     end function reach_of
 
-    !> Adds a problem, of one disc if its index is given, with the channel if that is scanned.
+    !> Text for the bound that follows from a key; empty if that has several values: then one line
+    !> is for all points that have the fault.
+    pure function which_is(bound, key) result(text)
+      real(wp), intent(in) :: bound
+      character(len=*), intent(in) :: key
+      character(len=:), allocatable :: text
+
+      text = ', which is '//to_text(bound)
+      if (size(values_of(plan, key)) > 1) text = ''
+    end function which_is
+
+    !> Adds a problem, of one disc if its index is given.
     subroutine add(state, allowed, disc)
       character(len=*), intent(in) :: state, allowed
       integer, intent(in), optional :: disc
-      character(len=:), allocatable :: all, where
+      character(len=:), allocatable :: all
 
       all = state
       if (present(disc)) all = 'is wrong: '//place(disc)//state
-      where = ''
-      if (is_scanned(plan, 'channel2_width')) where = ', at channel2_width = ' &
-        //to_text(point%channel(channel2)%width)
-      if (is_scanned(plan, 'channel2_length')) where = where//', at channel2_length = ' &
-        //to_text(point%channel(channel2)%length)
-      call refuse_key(plan, 'scatterers', all, allowed//where)
+      call refuse_key(plan, 'scatterers', all, allowed)
     end subroutine add
 
     !> Text for a disc: its index and its numbers.

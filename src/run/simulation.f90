@@ -8,7 +8,7 @@ module battery_simulation
   use battery_powers, only: power_below
   use battery_text, only: to_text
   use battery_error, only: error_type, fatal_error
-  use battery_table, only: table_type, channel2, relaxation_time, chamber_at, outside, half_length
+  use battery_table, only: channel2, relaxation_time, chamber_at, outside, half_length
   use battery_engine, only: engine_type, particles_type, allocate_particles
   use battery_event_record, only: event_record_type
   use battery_observer, only: end_series, observer_type, new_observer, observe_window, &
@@ -16,39 +16,12 @@ module battery_simulation
   use battery_engines, only: new_engine, explain_refusal, bytes_per_particle
   use battery_event_log, only: event_log_type, append_events, serialize_events
   use battery_archive, only: archive_type
-  use battery_available_memory, only: check_memory, bytes_per_entry, bytes_per_state, &
-    bytes_per_event
+  use battery_available_memory, only: need_type, check_memory, most_kept
+  use battery_setup, only: setup_type
   implicit none (type, external)
   private
-  public :: run_type, setup_type, simulation_type, begin_simulation, advance_simulation, progress, &
-    verify_simulation
+  public :: simulation_type, begin_simulation, advance_simulation, progress, verify_simulation
   public :: serialize_simulation
-
-  !> Parameters that all simulations of a run have in common. Components are named like the keys of
-  !> the namelist; times in lengths over the speed.
-  type :: run_type
-    character(len=:), allocatable :: engine
-    !> Length of the run and of its transient (negative: half of it) in wall collisions, or, if
-    !> `duration` > 0, in time.
-    integer(int64) :: collisions = 0, transient_collisions = -1
-    real(wp) :: duration = 0.0_wp, transient_duration = 0.0_wp
-    real(wp) :: start_time = 0.0_wp
-    !> Step of the engine `timestep`; 0: not given.
-    real(wp) :: time_step = 0.0_wp
-    real(wp) :: series_interval = 0.0_wp
-    !> Times since the start, ascending, at which positions and velocities are stored.
-    real(wp), allocatable :: snapshot_times(:)
-    logical :: event_log = .false.
-  end type run_type
-
-  !> Setup of a simulation, without the particles.
-  type, extends(run_type) :: setup_type
-    type(table_type) :: table
-    !> Thresholds of the gates of urn 1 and 2.
-    integer :: threshold(2) = 0
-    !> Seed of engines that draw random numbers.
-    integer(int64) :: seed = 0
-  end type setup_type
 
   !> State of one simulation.
   type :: simulation_type
@@ -84,10 +57,6 @@ module battery_simulation
 
   !> Largest number of series entries in one window: signals are noticed between windows.
   integer, parameter :: most_entries = 2**20
-
-  !> Largest number of entries and of events: up to eight numbers of each are counted by default
-  !> integers.
-  integer, parameter :: most_kept = 2**28 - 1
 
   !> Largest number of windows between two exact counts of the collisions.
   integer, parameter :: windows_between_counts = 20000
@@ -150,15 +119,15 @@ contains
     type(error_type), allocatable, intent(out) :: error
     !> Bytes of the positions and velocities of a particle.
     real(dp), parameter :: particle_bytes = 32.0_dp
-    real(dp) :: bytes
+    type(need_type) :: need
 
     associate (setup => simulation%setup, number => simulation%observer%number)
-      bytes = (bytes_per_particle(setup%engine, any(setup%table%urn%truncates_passages)) &
-        - particle_bytes)*number &
-        + bytes_per_state*size(setup%snapshot_times)*number
+      need%bytes = (bytes_per_particle(setup%engine, any(setup%table%urn%truncates_passages)) &
+        - particle_bytes)*number
+      need%states = real(size(setup%snapshot_times), dp)*number
       if (setup%series_interval > 0.0_wp .and. setup%duration > 0.0_wp) &
-        bytes = bytes + bytes_per_entry*real(setup%duration/setup%series_interval, dp)
-      call check_memory(bytes, 'the engine of '//to_text(number) &
+        need%entries = real(setup%duration/setup%series_interval, dp)
+      call check_memory(need, 'the engine of '//to_text(number) &
         //' particles, their snapshots and series', error)
     end associate
   end subroutine check_remaining_memory
@@ -171,8 +140,8 @@ contains
     associate (s => simulation)
       if (int(s%observer%entries, int64) + s%events%count < s%unchecked_length .and. &
         .not. (s%out_of_room .or. s%observer%out_of_room)) return
-      call check_memory(2.0_dp*(bytes_per_entry*s%observer%entries &
-        + bytes_per_event*s%events%count), 'series and events', error)
+      call check_memory(need_type(entries=2.0_dp*s%observer%entries, &
+        events=2.0_dp*s%events%count), 'series and events', error)
       s%out_of_room = s%out_of_room .or. s%observer%out_of_room .or. allocated(error) .or. &
         max(s%observer%entries, s%events%count) > most_kept
       s%unchecked_length = 2*s%unchecked_length

@@ -1,5 +1,5 @@
 !> The numbers that a scan has measured, as arrays with an entry for each point and replica. Series,
-!> states and events, which are large, are in `battery_task_output`.
+!> states and events, which are large, are in `task_output_type` of `battery_results_file`.
 !>
 !> The first index runs fastest, so readers in C or Python see the dimensions reversed.
 module battery_results
@@ -7,8 +7,7 @@ module battery_results
   use battery_blocks, only: error_of_mean
   use battery_plan, only: point_type
   use battery_text, only: string_type
-  use battery_quantities, only: averaged_quantities, counted_quantities, unknown_real, &
-    unknown_count
+  use battery_quantities, only: real_quantities, integer_quantities, unknown_real, unknown_count
   implicit none (type, external)
   private
   public :: results_type, new_results, scatter_of
@@ -59,10 +58,10 @@ contains
     allocate (results%failure(points*replicas))
     allocate (results%task_status(replicas, points), source=task_not_done)
     allocate (results%seed(replicas, points), source=unknown_count)
-    allocate (results%average(replicas, points, size(averaged_quantities())), &
+    allocate (results%average(replicas, points, size(real_quantities())), &
       source=unknown_real())
     results%error = results%average
-    allocate (results%counted(replicas, points, size(counted_quantities())), source=unknown_count)
+    allocate (results%counted(replicas, points, size(integer_quantities())), source=unknown_count)
   end subroutine new_results
 
   !> Whether all tasks are complete, except those that a precision does not need.

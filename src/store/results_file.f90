@@ -19,9 +19,7 @@ module battery_results_file
   use, intrinsic :: ieee_arithmetic, only: ieee_is_nan
   use battery_kinds, only: wp, dp, int32, int64
   use battery_archive, only: archive_type
-  use battery_available_memory, only: check_memory, bytes_per_task, bytes_per_entry, &
-    bytes_per_state, most_numbers
-  use battery_build_information, only: program_version
+  use battery_available_memory, only: need_type, check_memory, most_kept
   use battery_checksum_footer, only: check_footer, copy_with_footer
   use battery_error, only: error_type, fatal_error, exit_bad_input, exit_failure
   use battery_files, only: file_stamp_type, sync_file, publish_unless_replaced, remove_file
@@ -31,16 +29,14 @@ module battery_results_file
     close_dataset
   use battery_key, only: key_type, find_key
   use battery_keys, only: all_keys
-  use battery_namelist_input, only: parse_namelist
   use battery_plan, only: plan_type, point_type, point_of, setup_of
-  use battery_quantities, only: quantity_type, averaged_quantities, counted_quantities, place_of, &
+  use battery_quantities, only: quantity_type, real_quantities, integer_quantities, place_of, &
     flow_names, unknown_count, unknown_real
   use battery_results, only: results_type, new_results, scatter_of, all_tasks_complete, &
     task_complete, task_failed, task_not_done, task_not_asked, point_precise, point_not_precise, &
     point_two_states, point_undecided
-  use battery_simulation, only: setup_type
-  use battery_table, only: channel1, channel2
-  use battery_text, only: lines_of
+  use battery_setup, only: setup_type
+  use battery_text, only: lines_of, to_text
   implicit none (type, external)
   private
   public :: results_file_type, write_results, publish_results
@@ -94,8 +90,7 @@ module battery_results_file
     !> Stamp of a file that was opened, or was damaged; of a new file, that of the only file that it
     !> may replace.
     type(file_stamp_type) :: stamp
-    !> Plan of the file: that of a new one is set before `write_results`, that of another follows
-    !> from its namelist in `read_results`.
+    !> Plan of the file, set before `write_results` or `read_results`: that of its namelist.
     type(plan_type) :: plan
     !> Length of the first dimension of each group: greatest number of entries, or of particles, of
     !> any task; number of events. 0: the file has no series, no snapshots, no final states.
@@ -167,7 +162,7 @@ contains
   subroutine accept_results(name, file, results, error)
     !> Path of the file.
     character(len=*), intent(in) :: name
-    !> File from `open_results`, closed here; no change since is accepted.
+    !> File from `open_results`, with its plan, closed here; no change since is accepted.
     type(results_file_type), intent(inout) :: file
     !> Its numbers.
     type(results_type), intent(out) :: results
@@ -251,21 +246,14 @@ contains
 
   !> Reads the numbers of an open file, except the parameters of points; task outputs are read one
   !> by one (`serialize_slabs`). Its datasets must be those that follow from its namelist; otherwise
-  !> the error has the code `exit_bad_input`. A file of another version has other datasets: the code
-  !> is `exit_failure`. They may be read several times.
+  !> the error has the code `exit_bad_input`. They may be read several times.
   subroutine read_results(file, results, error)
-    !> File from `open_results`; closed after an error.
+    !> File from `open_results`, of this version, with its plan; closed after an error.
     type(results_file_type), intent(inout) :: file
     type(results_type), intent(out) :: results
     type(error_type), allocatable, intent(out) :: error
 
-    if (file%version /= program_version) then
-      call fatal_error(error, file%name//' is of another version')
-    else
-      call parse_namelist(file%namelist, file%name, file%plan, error)
-    end if
-    file%plan%initial_fingerprint = file%initial_fingerprint
-    if (.not. allocated(error)) call read_tasks(file, file%plan, results, error)
+    call read_tasks(file, file%plan, results, error)
     if (.not. allocated(error)) call open_outputs(file, results, error)
     if (allocated(error)) call close_results(file)
   end subroutine read_results
@@ -291,14 +279,15 @@ contains
     character(len=:), allocatable :: hosts
     integer :: p, r, host
 
-    call check_memory_of(bytes_per_task*plan%point_count*plan%replicas, 'tasks', file, error)
+    call check_memory_of(need_type(tasks=real(plan%point_count, dp)*plan%replicas), 'tasks', &
+      file, error)
     if (allocated(error)) return
     call new_results(results, plan%point_count, plan%replicas)
     call serialize_measured(file, results, error)
     call read_text_attribute(file, '/provenance', 'hosts', hosts, error)
     if (allocated(error)) return
     results%host = lines_of(hosts)
-    host = place_of('provenance/host', counted_quantities())
+    host = place_of('provenance/host', integer_quantities())
     do p = 1, plan%point_count
       do r = 1, plan%replicas
         if (results%task_status(r, p) /= task_complete) cycle
@@ -329,9 +318,9 @@ contains
     associate (plan => file%plan)
       if (plan%series_interval > 0.0_wp) then
         call read_extents(file, '/series/urn1_number', entries, error, dataset)
-        call check_memory_of(bytes_per_entry*real(entries(1), dp), '/series', file, error)
-        if (.not. allocated(error) .and. (entries(1) < 1 .or. entries(1) > int(most_numbers, &
-          int64))) call check_status(file, '/series/urn1_number', &
+        call check_memory_of(need_type(entries=real(entries(1), dp)), '/series', file, error)
+        if (.not. allocated(error) .and. (entries(1) < 1 .or. entries(1) > most_kept)) &
+          call check_status(file, '/series/urn1_number', &
           'has no length that a series can have', 1, error)
         if (allocated(error)) return
         length(series) = int(entries(1))
@@ -345,22 +334,22 @@ contains
       end do
       if (size(plan%snapshot_times) > 0) length(snapshots) = most
       if (plan%final_state) length(final) = most
-      call check_memory_of(bytes_per_state*most*(size(plan%snapshot_times) + merge(1, 0, &
-        plan%final_state)), '/snapshots and /final', file, error)
+      call check_memory_of(need_type(states=real(most, dp)*(size(plan%snapshot_times) &
+        + merge(1, 0, plan%final_state))), '/snapshots and /final', file, error)
       call prepare_outputs(file, length, .false., error)
     end associate
   end subroutine open_outputs
 
-  !> An error if there is no memory for `bytes` of a file. Does nothing after an error.
-  subroutine check_memory_of(bytes, what, file, error)
-    real(dp), intent(in) :: bytes
+  !> An error if there is no memory for what is in a file. Does nothing after an error.
+  subroutine check_memory_of(need, what, file, error)
+    type(need_type), intent(in) :: need
     !> Text for the datasets that need them.
     character(len=*), intent(in) :: what
     class(hdf5_file_type), intent(in) :: file
     type(error_type), allocatable, intent(inout) :: error
 
     if (allocated(error)) return
-    call check_memory(bytes, what//' in '//file%name, error)
+    call check_memory(need, what//' in '//file%name, error)
     if (allocated(error)) error%code = exit_bad_input
   end subroutine check_memory_of
 
@@ -369,6 +358,8 @@ contains
     class(hdf5_file_type), intent(in) :: file
     type(results_type), intent(in) :: results
     type(error_type), allocatable, intent(inout) :: error
+    character(len=:), allocatable :: name
+    integer :: k
 
     call write_counting_scale(file, '/point', 0, size(results%point), 'point of the scan, from 0', &
       error)
@@ -387,14 +378,13 @@ contains
         [2, size(p)], order=[2, 1]), '1', 'threshold T of each gate', error, by_gate)
       call write_dataset(file, '/urn_radius', reshape([p%urn_radius(1), p%urn_radius(2)], &
         [2, size(p)], order=[2, 1]), 'length', 'radius r of each urn', error, by_urn)
-      call write_dataset(file, '/channel1_width', p%channel(channel1)%width, 'length', &
-        'width w of channel 1', error, by_point)
-      call write_dataset(file, '/channel1_length', p%channel(channel1)%length, 'length', &
-        'length l of channel 1', error, by_point)
-      call write_dataset(file, '/channel2_width', p%channel(channel2)%width, 'length', &
-        'width w'' of channel 2', error, by_point)
-      call write_dataset(file, '/channel2_length', p%channel(channel2)%length, 'length', &
-        'length l'' of channel 2', error, by_point)
+      do k = 1, 2
+        name = 'channel'//to_text(k)
+        call write_dataset(file, '/'//name//'_width', p%channel(k)%width, 'length', 'width w' &
+          //repeat('''', k - 1)//' of channel '//to_text(k), error, by_point)
+        call write_dataset(file, '/'//name//'_length', p%channel(k)%length, 'length', 'length l' &
+          //repeat('''', k - 1)//' of channel '//to_text(k), error, by_point)
+      end do
     end associate
   end subroutine write_points
 
@@ -417,7 +407,7 @@ contains
       task_not_done, task_not_asked], error)
     call write_text_attribute(file, '/task_status', 'flag_meanings', &
       'complete failed not_done not_asked', error)
-    list = averaged_quantities()
+    list = real_quantities()
     do q = 1, size(list)
       path = '/'//trim(list(q)%name)
       unit = trim(list(q)%unit)
@@ -430,7 +420,7 @@ contains
       if (file%is_new) call write_dataset(file, path//'_spread', scatter_of(results%average(:, &
         :, q), results%task_status), unit, meaning//scatter, error, by_point)
     end do
-    list = counted_quantities()
+    list = integer_quantities()
     do q = 1, size(list)
       path = '/'//trim(list(q)%name)
       call serialize_dataset(file, path, results%counted(:, :, q), trim(list(q)%unit), &
@@ -469,7 +459,7 @@ contains
     select case (group)
     case (series)
       list(1) = output_type('urn1_number', '1', 'particles at x < 0', .true.)
-      quantities = averaged_quantities()
+      quantities = real_quantities()
       do k = 1, size(flow_names)
         associate (flow => quantities(place_of(flow_names(k), quantities)))
           list(1 + k) = output_type(flow%name, flow%unit, trim(flow%meaning) &

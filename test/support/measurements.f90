@@ -3,7 +3,7 @@ module measurements
   use, intrinsic :: ieee_arithmetic, only: ieee_is_nan
   use battery_kinds, only: wp
   use battery_observer, only: observer_type, get_measured
-  use battery_quantities, only: measured_type, new_measured, averaged_quantities, place_of
+  use battery_quantities, only: measured_type, new_measured, real_quantities, place_of
   implicit none (type, external)
   private
   public :: seen_by, average, error, flows, known
@@ -25,7 +25,7 @@ contains
     character(len=*), intent(in) :: name
     real(wp) :: average
 
-    average = real(averages%average(place_of(name, averaged_quantities())), wp)
+    average = real(averages%average(place_of(name, real_quantities())), wp)
   end function average
 
   !> The error of a quantity.
@@ -34,7 +34,7 @@ contains
     character(len=*), intent(in) :: name
     real(wp) :: error
 
-    error = real(averages%error(place_of(name, averaged_quantities())), wp)
+    error = real(averages%error(place_of(name, real_quantities())), wp)
   end function error
 
   !> The four flows: channel 1 from urn 1 to urn 2 and back, channel 2 likewise.
