@@ -306,21 +306,21 @@ contains
     type(long_visits_type), intent(inout) :: visits
     type(flight_type), intent(in) :: flight(:)
     type(archive_type), intent(inout) :: archive
-    integer(int32), allocatable :: particle(:)
     integer :: at
 
     if (.not. archive%reading) call drop_finished_starts(visits, flight)
-    particle = visits%visit_start(:visits%count)%particle
-    call archive%serialize_list('long_visits', particle)
+    call archive%serialize_size('long_visits', visits%count)
     if (archive%failed()) return
     if (archive%reading) then
-      visits%count = size(particle)
-      visits%capacity = size(particle)
-      visits%visit_start = [(visit_start_type(particle=particle(at)), at=1, size(particle))]
+      visits%capacity = visits%count
+      visits%visit_start = [(visit_start_type(), at=1, visits%count)]
       allocate (visits%place(visits%number), source=0_int32)
-      visits%place(particle) = [(int(at, int32), at=1, size(particle))]
     end if
     associate (visit_start => visits%visit_start(:visits%count))
+      call archive%serialize('long_visits', visit_start%particle)
+      if (archive%failed()) return
+      if (archive%reading) visits%place(visit_start%particle) = [(int(at, int32), at=1, &
+        visits%count)]
       call archive%serialize('long_heading', visit_start%next_event)
       call archive%serialize('long_time', visit_start%time, 'long_y', visit_start%y, 'long_along', &
         visit_start%u_axial, 'long_across', visit_start%u_lateral, 'long_through', &
