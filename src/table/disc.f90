@@ -117,22 +117,19 @@ contains
   end subroutine try_point_in_disc
 
   !> First impact of a particle that is in the disc; openings count as wall.
-  pure subroutine find_first_impact_in_disc(disc, x, y, ux, uy, angle, cosine, sine, wait, before)
+  pure subroutine find_first_impact_in_disc(disc, x, y, ux, uy, angle, cosine, sine, wait)
     type(disc_type), intent(in) :: disc
     !> Position, lengths, and velocity, of length 1.
     real(wp), intent(in) :: x, y, ux, uy
     !> Angle of the impact (radians, from the x axis), cosine and sine of the incidence; time until
     !> the impact.
     real(wp), intent(out) :: angle, cosine, sine, wait
-    !> Wall hits until the impact that `locate_in_disc` does not count: none.
-    integer(int64), intent(out) :: before
 
     sine = (x*uy - y*ux)/disc%radius
     cosine = sqrt(max((1.0_wp - sine)*(1.0_wp + sine), 0.0_wp))
     if (cosine < grazing_cosine) call recompute_grazing_incidence(disc, x, y, ux, uy, cosine, sine)
     angle = atan2(uy*cosine - ux*sine, ux*cosine + uy*sine)
     wait = disc%radius*cosine - (x*ux + y*uy)
-    before = 0
   end subroutine find_first_impact_in_disc
 
   !> Recomputes a grazing incidence to full precision, from the depth below the circle and the

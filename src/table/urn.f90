@@ -153,7 +153,9 @@ contains
       call find_first_impact_in_polygon(urn%polygon, x, y, ux, uy, at, u_axial, u_lateral, wait, &
         before)
     case default
-      call find_first_impact_in_disc(urn%disc, x, y, ux, uy, at, u_axial, u_lateral, wait, before)
+      call find_first_impact_in_disc(urn%disc, x, y, ux, uy, at, u_axial, u_lateral, wait)
+      ! `locate_in_disc` counts the impact itself.
+      before = 0
     end select
   end subroutine find_first_impact
 
