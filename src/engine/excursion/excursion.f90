@@ -265,12 +265,8 @@ contains
 
     associate (flight => self%flight(i))
       select case (flight%next_event)
-      case (to_gate)
-        call schedule_event(self%calendar, self%flight, i, flight%time)
-      case (to_periodic_line)
-        call schedule_event(self%calendar, self%flight, i, flight%time + 0.5_wp*flight%through)
-      case (partial_visit)
-        call schedule_event(self%calendar, self%flight, i, flight%time - flight%through)
+      case (to_gate, to_periodic_line, partial_visit)
+        call schedule_event(self%calendar, self%flight, i, flight%due)
       case (counted_in_gate)
         call enter_gate(self%gate(flight%urn), flight%time + 0.5_wp*flight%through, i)
       case default
@@ -492,10 +488,6 @@ contains
     type(archive_type), intent(inout) :: archive
     integer :: i
 
-    ! In a saved state, x of a particle trapped in a channel is stored in place of `u_axial`.
-    if (allocated(self%trapped_x) .and. .not. archive%reading) then
-      where (self%flight%next_event == trapped_in_channel) self%flight%u_axial = self%trapped_x
-    end if
     ! Names in saved states are a format: they stay when a component is renamed.
     call archive%serialize('known_hits', self%computed_hits)
     call archive%serialize('told_hits', self%reported_hits)
@@ -504,10 +496,8 @@ contains
     call archive%serialize('due', self%flight%due, 'time', self%flight%time, 'y', self%flight%y)
     call archive%serialize('along', self%flight%u_axial, 'across', self%flight%u_lateral, &
       'length', self%flight%length, 'through', self%flight%through)
-    if (any(self%flight%next_event == trapped_in_channel)) then
-      self%trapped_x = self%flight%u_axial
-      where (self%flight%next_event == trapped_in_channel) self%flight%u_axial = 0.0_wp
-    end if
+    if (any(self%flight%next_event == trapped_in_channel)) &
+      call archive%serialize_list('trapped_x', self%trapped_x)
     if (self%table%has_scatterers) then
       call serialize_visit_starts(self%scatterer_visits, self%flight%urn, archive)
     else
