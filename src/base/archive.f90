@@ -37,7 +37,6 @@ module battery_archive
     procedure, private :: serialize_logical, serialize_int32, serialize_int64, serialize_real
     procedure, private :: serialize_int8s, serialize_int16s, serialize_int32s, serialize_int64s, &
       serialize_reals
-    procedure, private :: serialize_int32_list, serialize_real_list
     !> Saves or restores a text of any length.
     procedure :: serialize_text
     !> Saves or restores a number, `value`, or an array, `values`, that has the same length on
@@ -45,10 +44,13 @@ module battery_archive
     !> passed in one call, each after its name.
     generic :: serialize => serialize_logical, serialize_int32, serialize_int64, serialize_real, &
       serialize_int8s, serialize_int16s, serialize_int32s, serialize_int64s, serialize_reals
-    !> Saves or restores an allocatable array, `values`, which is allocated on reading. The `name`
-    !> is checked on reading. Up to four lists of reals may be passed in one call, each after its
+    !> Saves or restores an allocatable array of reals, `values`, which is allocated on reading. The
+    !> `name` is checked on reading. Up to four lists may be passed in one call, each after its
     !> name.
-    generic :: serialize_list => serialize_int32_list, serialize_real_list
+    procedure :: serialize_list
+    !> Saves or restores the size of a list; on reading, a size greater than the words of the
+    !> archive is a problem.
+    procedure :: serialize_size
     !> Begins to read an archive whose words were set.
     procedure :: begin_reading
     !> Whether a component read from the archive differed in name, kind or size from the one asked
@@ -56,7 +58,7 @@ module battery_archive
     procedure :: failed
     !> Whether all that was written has been read.
     procedure :: at_end
-    procedure, private :: open_item, serialize_words, reserve_words, serialize_size
+    procedure, private :: open_item, serialize_words, reserve_words
   end type archive_type
 
 contains
@@ -303,26 +305,13 @@ contains
       values4, name5, values5)
   end subroutine serialize_reals
 
-  !> Saves or restores a list of integers of 32 bits.
-  pure subroutine serialize_int32_list(self, name, values)
-    class(archive_type), intent(inout) :: self
-    character(len=*), intent(in) :: name
-    integer(int32), allocatable, intent(inout) :: values(:)
-    integer :: items
-
-    if (.not. allocated(values)) allocate (values(0))
-    items = size(values)
-    call self%serialize_size(name, items)
-    if (self%failed()) return
-    if (size(values) /= items) values = spread(0_int32, 1, items)
-    call self%serialize_int32s(name, values)
-  end subroutine serialize_int32_list
-
   !> Saves or restores a list of reals; then the lists that follow.
-  pure recursive subroutine serialize_real_list(self, name, values, name2, values2, name3, &
-    values3, name4, values4)
+  pure recursive subroutine serialize_list(self, name, values, name2, values2, name3, values3, &
+    name4, values4)
     class(archive_type), intent(inout) :: self
+    !> Name of the list, which is checked on reading.
     character(len=*), intent(in) :: name
+    !> Reals, which are allocated on reading.
     real(wp), allocatable, intent(inout) :: values(:)
     !> Names of the arrays that follow.
     character(len=*), intent(in), optional :: name2, name3, name4
@@ -337,9 +326,8 @@ contains
     if (size(values) /= items) values = spread(0.0_wp, 1, items)
     call self%serialize_reals(name, values)
     ! `values2` may be present and not allocated; `name2` shows whether there is a second list.
-    if (present(name2)) call self%serialize_real_list(name2, values2, name3, values3, name4, &
-      values4)
-  end subroutine serialize_real_list
+    if (present(name2)) call self%serialize_list(name2, values2, name3, values3, name4, values4)
+  end subroutine serialize_list
 
   !> Saves or restores a text of any length and of any bytes.
   pure subroutine serialize_text(self, name, text)
@@ -365,7 +353,9 @@ contains
   !> is a problem.
   pure subroutine serialize_size(self, name, items)
     class(archive_type), intent(inout) :: self
+    !> Name of the list, which is checked on reading.
     character(len=*), intent(in) :: name
+    !> Number of its items.
     integer, intent(inout) :: items
 
     call self%serialize_int32('size of '//name, items)

@@ -7,9 +7,9 @@ module battery_event_record
   use battery_ordering, only: sort_by_time
   implicit none (type, external)
   private
-  public :: event_record_type, reserve_event_record, record_crossing, put_channel1_first, &
-    record_event, record_reversal, sort_simultaneous_events, crossing_of, channel_of, &
-    sort_event_record
+  public :: event_type, event_record_type, reserve_event_record, record_crossing, &
+    put_channel1_first, record_event, record_reversal, sort_simultaneous_events, crossing_of, &
+    channel_of, sort_event_record
   public :: channel1_12, channel1_21, channel2_12, channel2_21
   public :: event_entry, event_reversal, event_crossing1, event_crossing2
 
@@ -28,14 +28,21 @@ module battery_event_record
   integer, parameter :: event_of(4) = [event_crossing1, event_crossing1, event_crossing2, &
     event_crossing2], direction_of(4) = [12, 21, 12, 21]
 
+  !> An event of the log: time; kind, place (gate, or direction 12 or 21) and particle (of a
+  !> reversal: number of particles).
+  type :: event_type
+    real(wp) :: time = 0.0_wp
+    integer(int32) :: kind = 0, where = 0, particle = 0
+  end type event_type
+
   !> Events and counts of one window. Arrays may be longer than their counts.
   type :: event_record_type
     !> Length of the window.
     real(wp) :: duration = 0.0_wp
     !> Crossings in the order of time: time and kind (`channel1_12` ...) of each.
     integer :: crossings = 0
-    !> Size of the arrays of crossings; below 0 before they are allocated.
-    integer, private :: capacity = -1
+    !> Size of the arrays of crossings.
+    integer, private :: capacity = 0
     real(wp), allocatable :: crossing_time(:)
     integer(int8), allocatable :: crossing(:)
     !> Wall collisions computed in the window (see `engine_type%collisions`).
@@ -45,12 +52,10 @@ module battery_event_record
     !> Sum of |N1 - N2| over the states after each wall collision, and their number; only from
     !> engines that process every collision.
     integer(int64) :: collision_spread_sum = 0, collisions_seen = 0
-    !> The event log, if asked for: time, kind, place (gate, or direction 12 or 21) and particle (of
-    !> a reversal: number of particles) of each event.
+    !> The event log, if asked for.
     logical :: logging = .false.
     integer :: events = 0
-    real(wp), allocatable :: event_time(:)
-    integer(int32), allocatable :: event_kind(:), event_where(:), event_particle(:)
+    type(event_type), allocatable :: event(:)
   end type event_record_type
 
 contains
@@ -64,7 +69,7 @@ contains
     channel = merge(channel1, channel2, crossing == channel1_12 .or. crossing == channel1_21)
   end function channel_of
 
-  !> Empties the record, and allocates it for `crossings` crossings and `events` events.
+  !> Empties the record, and allocates it for `crossings` crossings and `events` events, or none.
   subroutine reserve_event_record(event_record, crossings, events)
     type(event_record_type), intent(inout) :: event_record
     integer, intent(in) :: crossings, events
@@ -77,7 +82,7 @@ contains
     event_record%collision_spread_sum = 0
     event_record%collisions_seen = 0
     event_record%events = 0
-    if (crossings > event_record%capacity .or. event_record%logging) call &
+    if (crossings >= event_record%capacity .or. event_record%logging) call &
       grow_event_record(event_record, crossings, events)
   end subroutine reserve_event_record
 
@@ -100,14 +105,11 @@ contains
     end if
     event_record%capacity = size(event_record%crossing_time)
     if (.not. event_record%logging) return
-    if (.not. allocated(event_record%event_time)) allocate (event_record%event_time(0), &
-      event_record%event_kind(0), event_record%event_where(0), event_record%event_particle(0))
-    if (size(event_record%event_time) < events) then
-      capacity = max(events, 2*size(event_record%event_time), 64) - size(event_record%event_time)
-      event_record%event_time = [event_record%event_time, spread(0.0_wp, 1, capacity)]
-      event_record%event_kind = [event_record%event_kind, spread(0_int32, 1, capacity)]
-      event_record%event_where = [event_record%event_where, spread(0_int32, 1, capacity)]
-      event_record%event_particle = [event_record%event_particle, spread(0_int32, 1, capacity)]
+    if (.not. allocated(event_record%event)) allocate (event_record%event(0))
+    if (size(event_record%event) < events) then
+      capacity = max(events, 2*size(event_record%event), 64)
+      event_record%event = [event_record%event, spread(event_type(), 1, capacity &
+        - size(event_record%event))]
     end if
   end subroutine grow_event_record
 
@@ -169,16 +171,12 @@ contains
     real(wp), intent(in) :: time
     !> Kind (`event_entry` ...); gate, or direction 12 or 21; particle, or number of particles.
     integer, intent(in) :: kind, where, particle
-    integer :: at
 
-    if (event_record%events == size(event_record%event_time)) call grow_event_record(event_record, &
+    if (event_record%events == size(event_record%event)) call grow_event_record(event_record, &
       0, event_record%events + 1)
-    at = event_record%events + 1
-    event_record%events = at
-    event_record%event_time(at) = time
-    event_record%event_kind(at) = int(kind, int32)
-    event_record%event_where(at) = int(where, int32)
-    event_record%event_particle(at) = int(particle, int32)
+    event_record%events = event_record%events + 1
+    event_record%event(event_record%events) = event_type(time, int(kind, int32), int(where, &
+      int32), int(particle, int32))
   end subroutine record_event
 
   !> Sorts the events of one instant, `first` to `last`, in the order of the log: crossings of
@@ -187,37 +185,33 @@ contains
     type(event_record_type), intent(inout) :: event_record
     !> Their first and last index.
     integer, intent(in) :: first, last
+    type(event_type) :: event
     integer(int64) :: rank(first:last), mine
-    integer(int32) :: kind, where, particle
     integer :: at, k
 
     do at = first, last
-      mine = 2_int64*event_record%event_particle(at)
-      if (event_record%event_kind(at) == event_crossing1) then
-        mine = mine - merge(2_int64, 1_int64, event_record%event_where(at) == 12)*2_int64**40
-      else if (event_record%event_kind(at) == event_reversal) then
-        mine = 1 + 2_int64*maxval(event_record%event_particle(first:last), &
-          mask=event_record%event_kind(first:last) == event_entry &
-          .and. event_record%event_where(first:last) == event_record%event_where(at))
+      event = event_record%event(at)
+      mine = 2_int64*event%particle
+      if (event%kind == event_crossing1) then
+        mine = mine - merge(2_int64, 1_int64, event%where == 12)*2_int64**40
+      else if (event%kind == event_reversal) then
+        associate (all => event_record%event(first:last))
+          mine = 1 + 2_int64*maxval(all%particle, mask=all%kind == event_entry .and. all%where &
+            == event%where)
+        end associate
       end if
       rank(at) = mine
     end do
     do at = first + 1, last
       mine = rank(at)
-      kind = event_record%event_kind(at)
-      where = event_record%event_where(at)
-      particle = event_record%event_particle(at)
+      event = event_record%event(at)
       do k = at - 1, first, -1
         if (rank(k) <= mine) exit
         rank(k + 1) = rank(k)
-        event_record%event_kind(k + 1) = event_record%event_kind(k)
-        event_record%event_where(k + 1) = event_record%event_where(k)
-        event_record%event_particle(k + 1) = event_record%event_particle(k)
+        event_record%event(k + 1) = event_record%event(k)
       end do
       rank(k + 1) = mine
-      event_record%event_kind(k + 1) = kind
-      event_record%event_where(k + 1) = where
-      event_record%event_particle(k + 1) = particle
+      event_record%event(k + 1) = event
     end do
   end subroutine sort_simultaneous_events
 
@@ -226,22 +220,22 @@ contains
   subroutine sort_event_record(event_record)
     type(event_record_type), intent(inout) :: event_record
     integer, allocatable :: order(:)
+    real(wp), allocatable :: time(:)
     integer :: first, last
 
     associate (n => event_record%crossings)
-      call sort_times_with_permutation(n, event_record%crossing_time, order)
+      call sort_times_with_permutation(event_record%crossing_time(:n), order)
       event_record%crossing(:n) = event_record%crossing(order)
     end associate
     if (.not. event_record%logging) return
     associate (n => event_record%events)
-      call sort_times_with_permutation(n, event_record%event_time, order)
-      event_record%event_kind(:n) = event_record%event_kind(order)
-      event_record%event_where(:n) = event_record%event_where(order)
-      event_record%event_particle(:n) = event_record%event_particle(order)
+      time = event_record%event(:n)%time
+      call sort_times_with_permutation(time, order)
+      event_record%event(:n) = event_record%event(order)
       first = 1
       do last = 1, n
         if (last < n) then
-          if (event_record%event_time(last + 1) <= event_record%event_time(last)) cycle
+          if (time(last + 1) <= time(last)) cycle
         end if
         if (last > first) call sort_simultaneous_events(event_record, first, last)
         first = last + 1
@@ -249,15 +243,14 @@ contains
     end associate
   end subroutine sort_event_record
 
-  !> Sorts the first `n` times; `order` is the permutation: the index that each had before.
-  subroutine sort_times_with_permutation(n, time, order)
-    integer, intent(in) :: n
+  !> Sorts times; `order` is the permutation: the index that each had before.
+  subroutine sort_times_with_permutation(time, order)
     real(wp), intent(inout) :: time(:)
     integer, allocatable, intent(out) :: order(:)
     integer :: k
 
-    order = [(k, k=1, n)]
-    call sort_by_time(n, time(:n), order)
+    order = [(k, k=1, size(time))]
+    call sort_by_time(size(time), time, order)
   end subroutine sort_times_with_permutation
 
 end module battery_event_record

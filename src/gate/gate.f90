@@ -23,13 +23,14 @@ module battery_gate
   use battery_queue, only: queue_type, empty_queue, push, push_all, pop, pop_due, remove_particle, &
     rebase_queue, serialize_queue
   use battery_archive, only: archive_type
+  use battery_visits, only: visits_type
   implicit none (type, external)
   private
   public :: gate_type, new_gate, enter_gate, clear_new_entries, must_reverse
   public :: has_undecided_entries, decide_reversal, uncount_all
   public :: number_inside, counted_particle, next_crossing_time, first_crossing_time
   public :: gate_crossed_first, uncount_first, uncount_particle, rebase_gate, serialize_gate
-  public :: gate_window_type, reserve_gate_window, apply_rule_to_window
+  public :: gate_window_type, crossing_list_type, reserve_gate_window, apply_rule_to_window
 
   !> The gate of one urn: its threshold, and the particles that it counts.
   type :: gate_type
@@ -56,6 +57,14 @@ module battery_gate
     !> in order.
     integer, allocatable :: particle(:)
   end type gate_window_type
+
+  !> Crossings of the lines in one window. Arrays may be longer than the count.
+  type :: crossing_list_type
+    integer :: count = 0
+    real(wp), allocatable :: time(:)
+    !> An integer to order those of one time by; of the gates the particle.
+    integer, allocatable :: order(:)
+  end type crossing_list_type
 
 contains
 
@@ -213,8 +222,7 @@ contains
   !> last entry. The result is that of single entries and crossings, but particles reversed and
   !> particles that cross are listed in no order.
   pure subroutine apply_rule_to_window(gate, gate_window, entries, entry_time, crossing_time, &
-    entering_particle, until, reversed_count, reversed_particle, reversed_at, crossed, &
-    crossing_particle, crossed_at)
+    entering_particle, until, visits, crossings)
     type(gate_type), intent(inout) :: gate
     type(gate_window_type), intent(inout) :: gate_window
     !> Number of entries.
@@ -225,18 +233,10 @@ contains
     !> Particle of each entry.
     integer, intent(in) :: entering_particle(entries)
     real(wp), intent(in) :: until
-    !> Length of the list of particles reversed; those of this gate are appended.
-    integer, intent(inout) :: reversed_count
-    !> Particles reversed.
-    integer, intent(inout), contiguous :: reversed_particle(:)
-    !> Time at which each is reversed.
-    real(wp), intent(inout), contiguous :: reversed_at(:)
-    !> Length of the list of particles that cross; those of this gate are appended.
-    integer, intent(inout) :: crossed
-    !> Particles that cross.
-    integer, intent(inout), contiguous :: crossing_particle(:)
-    !> Time at which each crosses.
-    real(wp), intent(inout), contiguous :: crossed_at(:)
+    !> A visit is added for each particle reversed: particle and time of reversal.
+    type(visits_type), intent(inout) :: visits
+    !> Crossings of the middle line are added.
+    type(crossing_list_type), intent(inout) :: crossings
     integer :: crossing_soon, still_inside
 
     gate_window%reversals = 0
@@ -248,8 +248,8 @@ contains
       gate_window%particle(crossing_soon + 1:crossing_soon + entries) = entering_particle
       call apply_rule(most_inside(gate), counted%count, crossing_soon, entries, entry_time, until, &
         gate_window%time, gate_window%particle, counted%particle, gate_window%reversals, &
-        gate_window%last_entry, gate_window%reversed, reversed_count, reversed_particle, &
-        reversed_at, crossed, crossing_particle, crossed_at, still_inside)
+        gate_window%last_entry, gate_window%reversed, visits%count, visits%particle, &
+        visits%reversal_time, crossings%count, crossings%order, crossings%time, still_inside)
       if (gate_window%reversals > 0) call empty_queue(counted)
       call push_all(counted, still_inside, gate_window%time, gate_window%particle)
     end associate

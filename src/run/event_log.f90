@@ -1,19 +1,13 @@
 !> The event log of a run, which is enlarged as long as there is memory for it.
 module battery_event_log
-  use battery_kinds, only: wp, int32
-  use battery_event_record, only: event_record_type
+  use battery_kinds, only: wp
+  use battery_event_record, only: event_type, event_record_type
   use battery_archive, only: archive_type
   implicit none (type, external)
   private
   public :: event_log_type, append_events, serialize_events
 
-  !> An event: time since the start of the run; kind, place and particle as in an event record.
-  type :: event_type
-    real(wp) :: time
-    integer(int32) :: kind, where, particle
-  end type event_type
-
-  !> The event log of a run.
+  !> The event log of a run; times count from its start.
   type :: event_log_type
     !> Number of events; the array may be longer.
     integer :: count = 0
@@ -31,7 +25,7 @@ contains
     !> Set if there is no memory for the events; then the log does not change.
     logical, intent(inout) :: out_of_room
     type(event_type), allocatable :: longer(:)
-    integer :: total, status, k
+    integer :: total, status
 
     if (.not. allocated(log%event)) allocate (log%event(0))
     total = log%count + event_record%events
@@ -42,10 +36,10 @@ contains
       longer(:log%count) = log%event(:log%count)
       call move_alloc(longer, log%event)
     end if
-    do k = 1, event_record%events
-      log%event(log%count + k) = event_type(elapsed + event_record%event_time(k), &
-        event_record%event_kind(k), event_record%event_where(k), event_record%event_particle(k))
-    end do
+    associate (added => log%event(log%count + 1:total))
+      added = event_record%event(:event_record%events)
+      added%time = elapsed + added%time
+    end associate
     log%count = total
   end subroutine append_events
 

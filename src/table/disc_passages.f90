@@ -9,7 +9,7 @@
 module battery_disc_passages
   use battery_kinds, only: wp, int64, angle_kind
   use battery_channel, only: channel1, channel2
-  use battery_disc, only: disc_type, recompute_grazing_incidence, grazing_cosine
+  use battery_disc, only: urn_shape_type, recompute_grazing_incidence, grazing_cosine
   use battery_rotation, only: turn_of_vector, unit_vector, full_turn
   use battery_opening_search, only: find_opening
   use battery_visits, only: visits_type, group_size, no_channel, many_hits, &
@@ -52,8 +52,8 @@ contains
   !> chord where each enters to those at the chord where it leaves. Sets the next channel, the
   !> length of the passage, the time through the next channel and the hits as well (see
   !> `visits_type`).
-  subroutine compute_disc_passages(disc, visits)
-    type(disc_type), intent(in) :: disc
+  subroutine compute_disc_passages(urn, visits)
+    type(urn_shape_type), intent(in) :: urn
     type(visits_type), intent(inout) :: visits
     integer :: n, n_active, j, active, round
     logical :: uncommon
@@ -63,45 +63,45 @@ contains
     visits%many_hits_count = 0
     visits%untraceable_count = 0
     if (n == 0) return
-    call find_first_impacts(n, 1.0_wp/disc%radius, visits%x, visits%y, visits%u_axial, &
+    call find_first_impacts(n, 1.0_wp/urn%reach, visits%x, visits%y, visits%u_axial, &
       visits%u_lateral, visits%passage, visits%c, visits%s, visits%px, visits%py, visits%zx, &
       visits%zy, visits%steps, visits%first, uncommon)
     if (uncommon) then
-      call recompute_grazing_incidences(disc, visits)
-      call list_untraceable(disc, visits)
+      call recompute_grazing_incidences(urn, visits)
+      call list_untraceable(urn, visits)
     end if
     active = visits%count
     call number_slots(active, visits%slot)
-    if (disc%stepping_pays) then
+    if (urn%disc%stepping_pays) then
       visits%px(active + 1:n) = 1.0_wp
       visits%py(active + 1:n) = 0.0_wp
       do round = 1, march_rounds
         n_active = group_size*((active + group_size - 1)/group_size)
-        call step_impacts(disc%half_opening(channel1), disc%half_opening(channel2), n_active, &
-          visits%px, visits%py, visits%zx, visits%zy, visits%steps)
-        if (round <= early_rounds) call step_impacts(disc%half_opening(channel1), &
-          disc%half_opening(channel2), n_active, visits%px, visits%py, visits%zx, visits%zy, &
+        call step_impacts(urn%disc%half_opening(channel1), urn%disc%half_opening(channel2), &
+          n_active, visits%px, visits%py, visits%zx, visits%zy, visits%steps)
+        if (round <= early_rounds) call step_impacts(urn%disc%half_opening(channel1), &
+          urn%disc%half_opening(channel2), n_active, visits%px, visits%py, visits%zx, visits%zy, &
           visits%steps)
-        call compact_active(disc%half_opening(channel1), disc%half_opening(channel2), active, &
-          visits%slot, visits%px, visits%py, visits%zx, visits%zy, visits%steps, visits%hit_x, &
-          visits%hit_y, visits%impacts)
+        call compact_active(urn%disc%half_opening(channel1), urn%disc%half_opening(channel2), &
+          active, visits%slot, visits%px, visits%py, visits%zx, visits%zy, visits%steps, &
+          visits%hit_x, visits%hit_y, visits%impacts)
         if (active == 0) exit
       end do
     end if
     do j = 1, active
       visits%many_hits_index(j) = visits%slot(j)
-      call search_opening(disc, visits, visits%slot(j), visits%px(j), visits%py(j), visits%zx(j), &
+      call search_opening(urn, visits, visits%slot(j), visits%px(j), visits%py(j), visits%zx(j), &
         visits%zy(j), visits%steps(j))
     end do
     visits%many_hits_count = active
-    if (sum(disc%half_opening) < narrow) call list_many_chords(disc%radius, visits)
-    call find_exits(n, disc, visits%c, visits%s, visits%hit_x, visits%hit_y, visits%impacts, &
+    if (sum(urn%disc%half_opening) < narrow) call list_many_chords(urn%reach, visits)
+    call find_exits(n, urn, visits%c, visits%s, visits%hit_x, visits%hit_y, visits%impacts, &
       visits%first, visits%channel, visits%x, visits%y, visits%u_axial, visits%u_lateral, &
       visits%length, visits%through)
     if (.not. all_passages_end(visits%count, visits%u_axial, visits%impacts)) then
       do j = 1, visits%count
         if (visits%u_axial(j) > least_u_axial .and. visits%impacts(j) >= 0.0_wp) cycle
-        call repair_passage(disc, visits, j)
+        call repair_passage(urn, visits, j)
         if (any(visits%many_hits_index(:visits%many_hits_count) == j)) cycle
         visits%many_hits_count = visits%many_hits_count + 1
         visits%many_hits_index(visits%many_hits_count) = j
@@ -198,8 +198,8 @@ contains
   end subroutine find_first_impacts
 
   !> Recomputes cosine and sine of the angle of incidence, where it is grazing, to full precision.
-  pure subroutine recompute_grazing_incidences(disc, visits)
-    type(disc_type), intent(in) :: disc
+  pure subroutine recompute_grazing_incidences(urn, visits)
+    type(urn_shape_type), intent(in) :: urn
     type(visits_type), intent(inout) :: visits
     real(wp) :: ux, uy, c, s
     integer :: j
@@ -210,14 +210,14 @@ contains
       uy = visits%u_lateral(j)
       c = visits%c(j)
       s = visits%s(j)
-      call recompute_grazing_incidence(disc, visits%x(j), visits%y(j), ux, uy, c, s)
+      call recompute_grazing_incidence(urn, visits%x(j), visits%y(j), ux, uy, c, s)
       visits%c(j) = c
       visits%s(j) = s
       visits%px(j) = ux*c + uy*s
       visits%py(j) = uy*c - ux*s
       visits%zx(j) = (s - c)*(s + c)
       visits%zy(j) = 2.0_wp*s*c
-      visits%first(j) = disc%radius*c - (visits%x(j)*ux + visits%y(j)*uy)
+      visits%first(j) = urn%reach*c - (visits%x(j)*ux + visits%y(j)*uy)
     end do
   end subroutine recompute_grazing_incidences
 
@@ -226,26 +226,26 @@ contains
   !> on the circle too, where rounding would decide whether the particle was reflected. One that has
   !> glided along the wall of its channel may fly to the corner opposite, which belongs to the urn:
   !> its first impact must not lie in that opening by rounding.
-  pure subroutine list_untraceable(disc, visits)
-    type(disc_type), intent(in) :: disc
+  pure subroutine list_untraceable(urn, visits)
+    type(urn_shape_type), intent(in) :: urn
     type(visits_type), intent(inout) :: visits
     real(wp) :: half_width, distance
     integer :: j, from
 
     do j = 1, visits%count
       from = merge(channel1, channel2, visits%x(j) > 0.0_wp)
-      half_width = disc%half_width(from)
-      distance = min(visits%first(j), 2.0_wp*disc%radius*visits%c(j) - visits%first(j))
+      half_width = urn%half_width(from)
+      distance = min(visits%first(j), 2.0_wp*urn%reach*visits%c(j) - visits%first(j))
       ! Within a tiny opening the circle is so near everywhere; but there a reflection would come
       ! from the channel (`trace_back_into_channel`).
       if (max(distance, 0.25_wp*(half_width - abs(visits%y(j))))*visits%c(j)**2 &
-        > wall_margin*disc%radius .and. visits%passage(j) < longest_time*disc%radius &
+        > wall_margin*urn%reach .and. visits%passage(j) < longest_time*urn%reach &
         *visits%c(j)*min(visits%c(j), short)) cycle
       visits%untraceable_count = visits%untraceable_count + 1
       visits%untraceable_index(visits%untraceable_count) = j
       if (abs(visits%u_lateral(j)) > 0.0_wp .or. abs(abs(visits%y(j)) - half_width) &
-        > wall_margin*disc%radius) cycle
-      visits%py(j) = sign((1.0_wp + 2.0_wp*epsilon(1.0_wp))*disc%half_opening(from), visits%py(j))
+        > wall_margin*urn%reach) cycle
+      visits%py(j) = sign((1.0_wp + 2.0_wp*epsilon(1.0_wp))*(half_width/urn%reach), visits%py(j))
     end do
   end subroutine list_untraceable
 
@@ -377,8 +377,8 @@ contains
   end subroutine compact_active
 
   !> Finds the first impact in an opening, from the impact (px, py) on, without stepping.
-  pure subroutine search_opening(disc, visits, mine, px, py, zx, zy, steps)
-    type(disc_type), intent(in) :: disc
+  pure subroutine search_opening(urn, visits, mine, px, py, zx, zy, steps)
+    type(urn_shape_type), intent(in) :: urn
     type(visits_type), intent(inout) :: visits
     integer, intent(in) :: mine
     real(wp), intent(in) :: px, py, zx, zy, steps
@@ -389,8 +389,8 @@ contains
     step = turn_of_vector(zx, zy)
     ! The virtual impact before the entry: in the opening through which the particle entered.
     start = modulo(turn_of_vector(px*zx + py*zy, py*zx - px*zy) + step, full_turn)
-    call find_opening(disc%angle(channel1), disc%angle(channel2), start, step, total, landing, &
-      first_side, found)
+    call find_opening(urn%disc%angle(channel1), urn%disc%angle(channel2), start, step, total, &
+      landing, first_side, found)
     if (found) then
       call unit_vector(landing, x, y)
       visits%hit_x(mine) = merge(x, -x, first_side)
@@ -405,10 +405,10 @@ contains
 
   !> Traces each visit back from its impact in an opening to the chord: to a point inside the walls
   !> of the channel, or a passage that begins there would be taken for one that has hit a wall.
-  pure subroutine find_exits(n, disc, c, s, hit_x, hit_y, impacts, first, channel, x, y, u_axial, &
+  pure subroutine find_exits(n, urn, c, s, hit_x, hit_y, impacts, first, channel, x, y, u_axial, &
     u_lateral, length, through)
     integer, intent(in) :: n
-    type(disc_type), intent(in) :: disc
+    type(urn_shape_type), intent(in) :: urn
     real(wp), intent(in) :: c(n), s(n), hit_x(n), hit_y(n), impacts(n), first(n)
     integer(int64), intent(out) :: channel(n)
     real(wp), intent(out) :: x(n), y(n), u_axial(n), u_lateral(n), length(n), through(n)
@@ -416,14 +416,14 @@ contains
     real(wp) :: radius, inside, half_opening1, half_opening2, chord1, chord2, length1, length2
     integer :: j
 
-    radius = disc%radius
+    radius = urn%reach
     inside = (1.0_wp - 2.0_wp*epsilon(1.0_wp))*radius
-    half_opening1 = disc%half_opening(channel1)
-    half_opening2 = disc%half_opening(channel2)
-    chord1 = disc%chord(channel1)
-    chord2 = disc%chord(channel2)
-    length1 = disc%length(channel1)
-    length2 = disc%length(channel2)
+    half_opening1 = urn%disc%half_opening(channel1)
+    half_opening2 = urn%disc%half_opening(channel2)
+    chord1 = urn%chord(channel1)
+    chord2 = urn%chord(channel2)
+    length1 = urn%length(channel1)
+    length2 = urn%length(channel2)
     do j = 1, n
       norm = 1.5_wp - 0.5_wp*(hit_x(j)**2 + hit_y(j)**2)
       qx = hit_x(j)*norm
@@ -447,16 +447,16 @@ contains
       u_lateral(j) = uy
       length(j) = first(j) + 2.0_wp*radius*c(j)*impacts(j) - back
     end do
-    if (min(chord1, chord2) < near_centre*radius) call find_wide_exits(n, disc, c, hit_x, hit_y, &
+    if (min(chord1, chord2) < near_centre*radius) call find_wide_exits(n, urn, c, hit_x, hit_y, &
       impacts, first, y, u_axial, u_lateral, length)
   end subroutine find_exits
 
   !> Computes again where a visit leaves through an opening nearly as wide as the urn: with the
   !> distance from impact to chord as the difference that `find_exits` avoids.
-  pure subroutine find_wide_exits(n, disc, c, hit_x, hit_y, impacts, first, y, u_axial, &
+  pure subroutine find_wide_exits(n, urn, c, hit_x, hit_y, impacts, first, y, u_axial, &
     u_lateral, length)
     integer, intent(in) :: n
-    type(disc_type), intent(in) :: disc
+    type(urn_shape_type), intent(in) :: urn
     real(wp), intent(in) :: c(n), hit_x(n), hit_y(n), impacts(n), first(n), u_axial(n), u_lateral(n)
     real(wp), intent(inout) :: y(n), length(n)
     real(wp) :: norm, back, height
@@ -464,22 +464,22 @@ contains
 
     do j = 1, n
       channel = merge(channel1, channel2, hit_x(j) > 0.0_wp)
-      if (disc%chord(channel) > near_centre*disc%radius) cycle
+      if (urn%chord(channel) > near_centre*urn%reach) cycle
       norm = 1.5_wp - 0.5_wp*(hit_x(j)**2 + hit_y(j)**2)
-      back = (abs(hit_x(j)*norm)*disc%radius - disc%chord(channel))/merge(u_axial(j), 1.0_wp, &
+      back = (abs(hit_x(j)*norm)*urn%reach - urn%chord(channel))/merge(u_axial(j), 1.0_wp, &
         u_axial(j) > 0.0_wp)
-      height = disc%radius*hit_y(j)*norm - back*u_lateral(j)
-      y(j) = sign(min(abs(height), (1.0_wp - 2.0_wp*epsilon(1.0_wp))*disc%half_width(channel)), &
+      height = urn%reach*hit_y(j)*norm - back*u_lateral(j)
+      y(j) = sign(min(abs(height), (1.0_wp - 2.0_wp*epsilon(1.0_wp))*urn%half_width(channel)), &
         height)
-      length(j) = first(j) + 2.0_wp*disc%radius*c(j)*impacts(j) - back
+      length(j) = first(j) + 2.0_wp*urn%reach*c(j)*impacts(j) - back
     end do
   end subroutine find_wide_exits
 
   !> Repairs two rare results. If rounding took an impact beside a corner for one in the opening,
   !> the velocity points into the urn: the corner belongs to the urn, so the visit goes on. If no
   !> impact lies in an opening, the particle never leaves.
-  pure subroutine repair_passage(disc, visits, j)
-    type(disc_type), intent(in) :: disc
+  pure subroutine repair_passage(urn, visits, j)
+    type(urn_shape_type), intent(in) :: urn
     type(visits_type), intent(inout) :: visits
     integer, intent(in) :: j
     real(wp) :: zx, zy, x, y
@@ -491,8 +491,8 @@ contains
       if (visits%impacts(j) < 0.0_wp .or. visits%u_axial(j) > least_u_axial) exit
       x = visits%hit_x(j)*zx - visits%hit_y(j)*zy
       y = visits%hit_x(j)*zy + visits%hit_y(j)*zx
-      call search_opening(disc, visits, j, x, y, zx, zy, visits%impacts(j) + 1.0_wp)
-      call find_exits(1, disc, visits%c(j:j), visits%s(j:j), visits%hit_x(j:j), visits%hit_y(j:j), &
+      call search_opening(urn, visits, j, x, y, zx, zy, visits%impacts(j) + 1.0_wp)
+      call find_exits(1, urn, visits%c(j:j), visits%s(j:j), visits%hit_x(j:j), visits%hit_y(j:j), &
         visits%impacts(j:j), visits%first(j:j), visits%channel(j:j), visits%x(j:j), visits%y(j:j), &
         visits%u_axial(j:j), visits%u_lateral(j:j), visits%length(j:j), visits%through(j:j))
     end do
@@ -502,7 +502,7 @@ contains
     visits%y(j) = atan2(visits%hit_y(j), visits%hit_x(j))
     visits%u_axial(j) = visits%c(j)
     visits%u_lateral(j) = visits%s(j)
-    visits%length(j) = visits%first(j) + 2.0_wp*disc%radius*visits%c(j)*visits%impacts(j)
+    visits%length(j) = visits%first(j) + 2.0_wp*urn%reach*visits%c(j)*visits%impacts(j)
   end subroutine repair_passage
 
 end module battery_disc_passages

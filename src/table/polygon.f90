@@ -16,13 +16,14 @@
 module battery_polygon
   use battery_kinds, only: wp, int64
   use battery_channel, only: channel_type, channel1, channel2, no_channel, facing, is_open
-  use battery_urn_shape, only: urn_shape_type, set_openings
+  use battery_urn_shape, only: urn_shape_type, polygon_type, set_openings
   use battery_motion, only: meets_gate, meets_channel2, meets_nothing, meets_wall, wall_kind
   use battery_corners, only: enclosed_area, reversed_corners, next_corner, distance_to_side, &
     is_on_side, side_distance, side_on_axis
   implicit none (type, external)
   private
-  public :: polygon_type, new_polygon, is_in_polygon, try_point_in_polygon, nearest_side
+  public :: urn_shape_type, polygon_type, new_polygon, is_in_polygon, try_point_in_polygon, &
+    nearest_side
   public :: find_next_wall_in_polygon, reflect_in_polygon, reflect_overshoot_in_polygon, &
     locate_in_polygon, find_first_impact_in_polygon
   public :: find_next_side_robustly, reflect_from_side, boundary_state_type, state_on_side, &
@@ -37,25 +38,6 @@ module battery_polygon
   !> A path that passes a corner, or the end of an opening, within this distance, in units of the
   !> reach, meets it: rounding errors of earlier hits may have decided on which side it passes.
   real(wp), parameter :: near = sqrt(epsilon(1.0_wp))
-
-  !> Geometry of a polygon with its openings. Side k goes from corner k to corner k + 1.
-  type, extends(urn_shape_type) :: polygon_type
-    integer :: sides = 0
-    !> Corners; the first is repeated at the end.
-    real(wp), allocatable :: x(:), y(:)
-    !> By side: outward normal, of length 1; distance from the origin along it; length; arc length
-    !> along the outline at which the side starts.
-    real(wp), allocatable :: normal_x(:), normal_y(:), offset(:), length_of(:), arc_start(:)
-    !> Half the width of the opening in a side; -1 if it has none.
-    real(wp), allocatable :: half_opening(:)
-    !> Sides with the openings of channel 1 and 2 (0: none); length of the outline.
-    integer :: side(2) = 0
-    real(wp) :: outline_length = 0.0_wp
-    !> Whether the polygon is convex: a path out of it crosses one side only.
-    logical :: convex = .false.
-    !> Lengths below this may be rounding errors.
-    real(wp) :: tolerance = 0.0_wp
-  end type polygon_type
 
   !> Boundary states that differ by less than this, relative to the outline and to 1, are the same.
   real(wp), parameter :: same_state = 4096.0_wp*epsilon(1.0_wp)
@@ -72,93 +54,93 @@ contains
 
   !> Polygon with openings; clockwise corners are reversed. If the axis crosses no upright side, or
   !> an opening is wider than its side, it does not fit.
-  pure function new_polygon(corners, channel) result(polygon)
+  pure function new_polygon(corners, channel) result(urn)
     !> Columns (x, y), at least 3; the origin may be anywhere on the axis.
     real(wp), intent(in) :: corners(:, :)
     !> Channels at its openings.
     type(channel_type), intent(in) :: channel(2)
-    type(polygon_type) :: polygon
+    type(urn_shape_type) :: urn
     real(wp) :: corner(2, size(corners, 2)), ends(2)
     integer :: k, n
 
     n = size(corners, 2)
     corner = corners
     if (enclosed_area(corner) < 0.0_wp) corner = reversed_corners(corner)
-    call set_openings(polygon, channel)
-    polygon%sides = n
-    polygon%side = [side_on_axis(corner, 1.0_wp), side_on_axis(corner, -1.0_wp)]
+    call set_openings(urn, channel)
+    urn%polygon%sides = n
+    urn%polygon%side = [side_on_axis(corner, 1.0_wp), side_on_axis(corner, -1.0_wp)]
     ends = [maxval(corner(1, :)), minval(corner(1, :))]
     ! The side of a closed channel is a wall like the others.
-    where (.not. is_open(channel)) polygon%side = 0
+    where (.not. is_open(channel)) urn%polygon%side = 0
     do k = 1, 2
-      if (polygon%side(k) > 0) ends(k) = corner(1, polygon%side(k))
+      if (urn%polygon%side(k) > 0) ends(k) = corner(1, urn%polygon%side(k))
     end do
-    polygon%x = [corner(1, :), corner(1, 1)] - 0.5_wp*sum(ends)
-    polygon%y = [corner(2, :), corner(2, 1)]
-    polygon%chord = 0.5_wp*(ends(channel1) - ends(channel2))
+    urn%polygon%x = [corner(1, :), corner(1, 1)] - 0.5_wp*sum(ends)
+    urn%polygon%y = [corner(2, :), corner(2, 1)]
+    urn%chord = 0.5_wp*(ends(channel1) - ends(channel2))
     do k = 1, 2
-      if (polygon%side(k) == 0) cycle
-      if (abs(polygon%x(polygon%side(k) + 1) - polygon%x(polygon%side(k))) &
-        > upright*maxval(abs(polygon%x))) cycle
+      if (urn%polygon%side(k) == 0) cycle
+      if (abs(urn%polygon%x(urn%polygon%side(k) + 1) - urn%polygon%x(urn%polygon%side(k))) &
+        > upright*maxval(abs(urn%polygon%x))) cycle
       ! Exactly upright, however the corners were rounded.
-      polygon%x(polygon%side(k):polygon%side(k) + 1) = facing(k)*polygon%chord(k)
-      if (polygon%side(k) == n) polygon%x(1) = polygon%x(n + 1)
-      if (polygon%side(k) == 1) polygon%x(n + 1) = polygon%x(1)
+      urn%polygon%x(urn%polygon%side(k):urn%polygon%side(k) + 1) = facing(k)*urn%chord(k)
+      if (urn%polygon%side(k) == n) urn%polygon%x(1) = urn%polygon%x(n + 1)
+      if (urn%polygon%side(k) == 1) urn%polygon%x(n + 1) = urn%polygon%x(1)
     end do
-    call measure_outline(polygon)
-    call measure_openings(polygon)
+    call measure_outline(urn)
+    call measure_openings(urn)
   end function new_polygon
 
   !> Derives lengths, normals and area from the corners.
-  pure subroutine measure_outline(polygon)
-    type(polygon_type), intent(inout) :: polygon
+  pure subroutine measure_outline(urn)
+    type(urn_shape_type), intent(inout) :: urn
     real(wp), allocatable :: along_x(:), along_y(:)
     integer :: n, k
 
-    n = polygon%sides
-    along_x = polygon%x(2:) - polygon%x(:n)
-    along_y = polygon%y(2:) - polygon%y(:n)
-    polygon%length_of = max(hypot(along_x, along_y), tiny(1.0_wp))
-    polygon%normal_x = along_y/polygon%length_of
-    polygon%normal_y = -along_x/polygon%length_of
-    polygon%offset = polygon%normal_x*polygon%x(:n) + polygon%normal_y*polygon%y(:n)
-    allocate (polygon%arc_start(n), polygon%half_opening(n))
-    polygon%half_opening = -1.0_wp
-    polygon%outline_length = 0.0_wp
-    polygon%convex = .true.
+    n = urn%polygon%sides
+    along_x = urn%polygon%x(2:) - urn%polygon%x(:n)
+    along_y = urn%polygon%y(2:) - urn%polygon%y(:n)
+    urn%polygon%length_of = max(hypot(along_x, along_y), tiny(1.0_wp))
+    urn%polygon%normal_x = along_y/urn%polygon%length_of
+    urn%polygon%normal_y = -along_x/urn%polygon%length_of
+    urn%polygon%offset = urn%polygon%normal_x*urn%polygon%x(:n) + &
+      urn%polygon%normal_y*urn%polygon%y(:n)
+    allocate (urn%polygon%arc_start(n), urn%polygon%half_opening(n))
+    urn%polygon%half_opening = -1.0_wp
+    urn%polygon%outline_length = 0.0_wp
+    urn%polygon%convex = .true.
     do k = 1, n
-      polygon%arc_start(k) = polygon%outline_length
-      polygon%outline_length = polygon%outline_length + polygon%length_of(k)
-      polygon%convex = polygon%convex .and. along_x(k)*along_y(next_corner(k, n)) &
+      urn%polygon%arc_start(k) = urn%polygon%outline_length
+      urn%polygon%outline_length = urn%polygon%outline_length + urn%polygon%length_of(k)
+      urn%polygon%convex = urn%polygon%convex .and. along_x(k)*along_y(next_corner(k, n)) &
         - along_y(k)*along_x(next_corner(k, n)) >= 0.0_wp
     end do
-    polygon%area = enclosed_area(reshape([polygon%x(:n), polygon%y(:n)], [2, n], order=[2, 1]))
-    polygon%perimeter = polygon%outline_length - sum(polygon%width)
-    polygon%truncates_passages = .true.
-    polygon%overhangs = maxval(polygon%x) > polygon%chord(channel1) .or. &
-      maxval(-polygon%x) > polygon%chord(channel2)
-    polygon%reach = maxval(hypot(polygon%x, polygon%y))
-    polygon%tolerance = rounding*(polygon%reach + polygon%chord(channel1) &
-      + polygon%length(channel1))
-    call find_clearance(polygon)
+    urn%area = enclosed_area(reshape([urn%polygon%x(:n), urn%polygon%y(:n)], [2, n], order=[2, 1]))
+    urn%perimeter = urn%polygon%outline_length - sum(urn%width)
+    urn%truncates_passages = .true.
+    urn%overhangs = maxval(urn%polygon%x) > urn%chord(channel1) .or. &
+      maxval(-urn%polygon%x) > urn%chord(channel2)
+    urn%reach = maxval(hypot(urn%polygon%x, urn%polygon%y))
+    urn%polygon%tolerance = rounding*(urn%reach + urn%chord(channel1) + urn%length(channel1))
+    call find_clearance(urn)
   end subroutine measure_outline
 
   !> Computes the distance from the origin to the walls, if the origin is inside, and the longest
   !> step. Twice the area over the length of the outline is the inradius of a regular polygon.
-  pure subroutine find_clearance(polygon)
-    type(polygon_type), intent(inout) :: polygon
+  pure subroutine find_clearance(urn)
+    type(urn_shape_type), intent(inout) :: urn
     integer :: j, k, n
 
-    n = polygon%sides
-    polygon%clear = 0.0_wp
-    if (is_in_polygon(polygon, 0.0_wp, 0.0_wp, 0.0_wp)) &
-      polygon%clear = minval(distances_to_sides(polygon, 0.0_wp, 0.0_wp))
-    polygon%longest_step = 2.0_wp*polygon%area/polygon%outline_length
-    if (polygon%convex) return
+    n = urn%polygon%sides
+    urn%clear = 0.0_wp
+    if (is_in_polygon(urn%polygon, 0.0_wp, 0.0_wp, 0.0_wp)) &
+      urn%clear = minval(distances_to_sides(urn%polygon, 0.0_wp, 0.0_wp))
+    urn%longest_step = 2.0_wp*urn%area/urn%polygon%outline_length
+    if (urn%polygon%convex) return
     do k = 1, n
       do j = k + 2, n
         if (k == 1 .and. j == n) cycle
-        polygon%longest_step = min(polygon%longest_step, side_distance(corner_of(k), &
+        urn%longest_step = min(urn%longest_step, side_distance(corner_of(k), &
           corner_of(k + 1), corner_of(j), corner_of(j + 1)))
       end do
     end do
@@ -170,7 +152,7 @@ contains
       integer, intent(in) :: at
       real(wp) :: corner(2)
 
-      corner = [polygon%x(at), polygon%y(at)]
+      corner = [urn%polygon%x(at), urn%polygon%y(at)]
     end function corner_of
 
   end subroutine find_clearance
@@ -179,33 +161,33 @@ contains
   !> reflected by a side that faces it: its length is at least twice the distance of the nearest
   !> such side. A path from one opening to the other is at least as long as the distance of the
   !> chords.
-  pure subroutine measure_openings(polygon)
-    type(polygon_type), intent(inout) :: polygon
+  pure subroutine measure_openings(urn)
+    type(urn_shape_type), intent(inout) :: urn
     real(wp) :: a(2), b(2)
     integer :: channel, k, j
 
-    polygon%fits = .true.
-    polygon%depth = 0.0_wp
+    urn%fits = .true.
+    urn%depth = 0.0_wp
     do channel = channel1, channel2
-      k = polygon%side(channel)
-      if (.not. polygon%width(channel) > 0.0_wp) cycle
+      k = urn%polygon%side(channel)
+      if (.not. urn%width(channel) > 0.0_wp) cycle
       if (k == 0) then
-        polygon%fits = .false.
+        urn%fits = .false.
         cycle
       end if
-      polygon%half_opening(k) = polygon%half_width(channel)
-      if (abs(polygon%normal_y(k)) > 0.0_wp .or. min(abs(polygon%y(k)), abs(polygon%y(k + 1))) &
-        <= polygon%half_width(channel)) polygon%fits = .false.
-      a = [polygon%x(k), polygon%half_width(channel)]
-      b = [polygon%x(k), -polygon%half_width(channel)]
-      polygon%depth(channel) = huge(1.0_wp)
-      do j = 1, polygon%sides
-        if (polygon%normal_x(j)*facing(channel) < 0.0_wp) polygon%depth(channel) = &
-          min(polygon%depth(channel), side_distance([polygon%x(j), polygon%y(j)], &
-          [polygon%x(j + 1), polygon%y(j + 1)], a, b))
+      urn%polygon%half_opening(k) = urn%half_width(channel)
+      if (abs(urn%polygon%normal_y(k)) > 0.0_wp .or. min(abs(urn%polygon%y(k)), &
+        abs(urn%polygon%y(k + 1))) <= urn%half_width(channel)) urn%fits = .false.
+      a = [urn%polygon%x(k), urn%half_width(channel)]
+      b = [urn%polygon%x(k), -urn%half_width(channel)]
+      urn%depth(channel) = huge(1.0_wp)
+      do j = 1, urn%polygon%sides
+        if (urn%polygon%normal_x(j)*facing(channel) < 0.0_wp) urn%depth(channel) = &
+          min(urn%depth(channel), side_distance([urn%polygon%x(j), urn%polygon%y(j)], &
+          [urn%polygon%x(j + 1), urn%polygon%y(j + 1)], a, b))
       end do
     end do
-    if (all(polygon%width > 0.0_wp)) polygon%depth = min(polygon%depth, polygon%chord)
+    if (all(urn%width > 0.0_wp)) urn%depth = min(urn%depth, urn%chord)
   end subroutine measure_openings
 
   !> Distance from a point to each side.
@@ -549,8 +531,8 @@ contains
   !> Moves a particle from side to side for the time `rest`, or until it reaches an opening; then
   !> `rest` is the time left. At the time of a hit it has not been reflected; if it flies `back`, it
   !> has: then time forwards it has not.
-  pure subroutine continue_flight(polygon, back, side, x, y, ux, uy, rest, hits, meets_corner)
-    type(polygon_type), intent(in) :: polygon
+  pure subroutine continue_flight(urn, back, side, x, y, ux, uy, rest, hits, meets_corner)
+    type(urn_shape_type), intent(in) :: urn
     !> Whether the velocity has been reversed.
     logical, intent(in) :: back
     !> Side that the particle is on, or 0.
@@ -568,37 +550,37 @@ contains
     hits = 0
     at_once = 0
     do
-      call find_next_wall_from_side(polygon, side, x, y, ux, uy, next, wait)
-      meets_corner = meets_corner .or. passes_corner(polygon, x, y, ux, uy, min(wait, rest))
+      call find_next_wall_from_side(urn%polygon, side, x, y, ux, uy, next, wait)
+      meets_corner = meets_corner .or. passes_corner(urn, x, y, ux, uy, min(wait, rest))
       x = x + ux*min(wait, rest)
       y = y + uy*min(wait, rest)
       ! A particle that rounding keeps in a corner stays there.
-      at_once = merge(0, at_once + 1, wait > polygon%tolerance)
+      at_once = merge(0, at_once + 1, wait > urn%polygon%tolerance)
       if (wait > rest .or. next < meets_wall .or. at_once > most_at_once) exit
       if (wait >= rest .and. .not. back) exit
       rest = rest - wait
       side = int(next)
-      call reflect_from_side(polygon, side, x, y, ux, uy)
+      call reflect_from_side(urn%polygon, side, x, y, ux, uy)
       hits = hits + 1
     end do
   end subroutine continue_flight
 
   !> Whether a straight path of a given length passes a corner or the end of an opening, or ends at
   !> one, within the distance `near`.
-  pure function passes_corner(polygon, x, y, ux, uy, length) result(passes)
-    type(polygon_type), intent(in) :: polygon
+  pure function passes_corner(urn, x, y, ux, uy, length) result(passes)
+    type(urn_shape_type), intent(in) :: urn
     real(wp), intent(in) :: x, y, ux, uy, length
     logical :: passes
     integer :: k
 
     passes = .false.
-    do k = 1, polygon%sides
-      passes = passes .or. is_near(polygon%x(k), polygon%y(k))
+    do k = 1, urn%polygon%sides
+      passes = passes .or. is_near(urn%polygon%x(k), urn%polygon%y(k))
     end do
     do k = channel1, channel2
-      if (polygon%side(k) == 0) cycle
-      passes = passes .or. is_near(facing(k)*polygon%chord(k), polygon%half_width(k)) &
-        .or. is_near(facing(k)*polygon%chord(k), -polygon%half_width(k))
+      if (urn%polygon%side(k) == 0) cycle
+      passes = passes .or. is_near(facing(k)*urn%chord(k), urn%half_width(k)) &
+        .or. is_near(facing(k)*urn%chord(k), -urn%half_width(k))
     end do
 
   contains
@@ -608,7 +590,7 @@ contains
       real(wp), intent(in) :: at_x, at_y
       real(wp) :: ahead, zone
 
-      zone = near*polygon%reach
+      zone = near*urn%reach
       is_near = abs(ux*(at_y - y) - uy*(at_x - x)) <= zone
       if (.not. is_near) return
       ahead = ux*(at_x - x) + uy*(at_y - y)
@@ -654,9 +636,9 @@ contains
   !> its passage. Which side a path through a corner hits is decided by rounding: computed back, or
   !> with other rounding errors than in `compute_passages`, it may turn to another side there. So a
   !> path that meets a corner is not to be believed; `follow_passage` yields the one that was taken.
-  pure subroutine locate_in_polygon(polygon, channel, y, u_axial, u_lateral, since, position, &
+  pure subroutine locate_in_polygon(urn, channel, y, u_axial, u_lateral, since, position, &
     velocity, hits, meets_corner)
-    type(polygon_type), intent(in) :: polygon
+    type(urn_shape_type), intent(in) :: urn
     !> Channel through which the passage ends; any other value: it does not end.
     integer, intent(in) :: channel
     !> Height (a length), |u_x| and u_y at the side of that channel; else a boundary state: arc
@@ -680,30 +662,30 @@ contains
     meets_corner = .false.
     leaves = channel == channel1 .or. channel == channel2
     if (leaves) then
-      side = polygon%side(channel)
-      position = [facing(channel)*polygon%chord(channel), y]
+      side = urn%polygon%side(channel)
+      position = [facing(channel)*urn%chord(channel), y]
       velocity = [facing(channel)*u_axial, u_lateral]
     else
-      call locate_on_outline(polygon, y, side, position(1), position(2))
+      call locate_on_outline(urn%polygon, y, side, position(1), position(2))
       velocity = [u_axial, u_lateral]
     end if
     if (leaves .or. since < 0.0_wp) then
       velocity = -velocity
-      if (.not. leaves) call reflect_from_side(polygon, side, position(1), position(2), &
+      if (.not. leaves) call reflect_from_side(urn%polygon, side, position(1), position(2), &
         velocity(1), velocity(2))
       rest = -since
-      call continue_flight(polygon, .true., side, position(1), position(2), velocity(1), &
+      call continue_flight(urn, .true., side, position(1), position(2), velocity(1), &
         velocity(2), rest, hits, meets_corner)
       velocity = -velocity
       hits = -hits - merge(0, 1, leaves)
     else
       period = huge(1.0_wp)
       hits_each = 0
-      if (since > long*polygon%reach) call find_period(polygon, boundary_state_type(y, u_axial, &
+      if (since > long*urn%reach) call find_period(urn, boundary_state_type(y, u_axial, &
         u_lateral), period, hits_each, meets_corner)
       periods = int(since/period, int64)
       rest = max(since - real(periods, wp)*period, 0.0_wp)
-      call continue_flight(polygon, .false., side, position(1), position(2), velocity(1), &
+      call continue_flight(urn, .false., side, position(1), position(2), velocity(1), &
         velocity(2), rest, hits, meets_corner)
       hits = hits + periods*hits_each
     end if
@@ -711,8 +693,8 @@ contains
 
   !> Finds time and hits after which a boundary state recurs; huge and 0 if it does not within
   !> `longest_period` hits.
-  pure subroutine find_period(polygon, state, period, hits, meets_corner)
-    type(polygon_type), intent(in) :: polygon
+  pure subroutine find_period(urn, state, period, hits, meets_corner)
+    type(urn_shape_type), intent(in) :: urn
     type(boundary_state_type), intent(in) :: state
     real(wp), intent(out) :: period
     integer(int64), intent(out) :: hits
@@ -724,19 +706,19 @@ contains
 
     ux = state%ux
     uy = state%uy
-    call locate_on_outline(polygon, state%arc_length, side, x, y)
+    call locate_on_outline(urn%polygon, state%arc_length, side, x, y)
     period = 0.0_wp
     do hits = 1, longest_period
-      call find_next_wall_from_side(polygon, side, x, y, ux, uy, next, wait)
+      call find_next_wall_from_side(urn%polygon, side, x, y, ux, uy, next, wait)
       if (next < meets_wall) exit
-      meets_corner = meets_corner .or. passes_corner(polygon, x, y, ux, uy, wait)
+      meets_corner = meets_corner .or. passes_corner(urn, x, y, ux, uy, wait)
       x = x + ux*wait
       y = y + uy*wait
       period = period + wait
       side = int(next)
-      call reflect_from_side(polygon, side, x, y, ux, uy)
-      if (has_returned(polygon, state_on_side(polygon, side, x, y, ux, uy), state) .and. &
-        period > polygon%tolerance) return
+      call reflect_from_side(urn%polygon, side, x, y, ux, uy)
+      if (has_returned(urn%polygon, state_on_side(urn%polygon, side, x, y, ux, uy), state) .and. &
+        period > urn%polygon%tolerance) return
     end do
     period = huge(1.0_wp)
     hits = 0

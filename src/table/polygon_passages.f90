@@ -12,8 +12,8 @@ module battery_polygon_passages
   use battery_kinds, only: wp, int64
   use battery_channel, only: channel1, channel2
   use battery_motion, only: slowest
-  use battery_polygon, only: polygon_type, nearest_side, boundary_state_type, state_on_side, &
-    has_returned, find_next_side_robustly, reflect_from_side, longest_period
+  use battery_polygon, only: urn_shape_type, polygon_type, nearest_side, boundary_state_type, &
+    state_on_side, has_returned, find_next_side_robustly, reflect_from_side, longest_period
   use battery_visits, only: visits_type, group_size, no_channel, truncated, many_hits, &
     longest_hits_time
   implicit none (type, external)
@@ -39,15 +39,15 @@ contains
 
   !> Computes the passages of a batch of visits through the polygon; input and output are explained
   !> at `visits_type`.
-  subroutine compute_polygon_passages(polygon, visits)
-    type(polygon_type), intent(in) :: polygon
+  subroutine compute_polygon_passages(urn, visits)
+    type(urn_shape_type), intent(in) :: urn
     type(visits_type), intent(inout) :: visits
-    real(wp) :: corner(2, 0:padded(polygon)), side(4, padded(polygon))
+    real(wp) :: corner(2, 0:padded(urn%polygon)), side(4, padded(urn%polygon))
     type(boundary_state_type) :: state
     integer(int64) :: ending
     integer :: active, n, j, round
 
-    call list_sides(polygon, padded(polygon), corner, side)
+    call list_sides(urn%polygon, padded(urn%polygon), corner, side)
     visits%many_hits_count = 0
     visits%untraceable_count = 0
     active = visits%count
@@ -59,15 +59,15 @@ contains
       n = group_size*((active + group_size - 1)/group_size)
       ! Padding lanes of the last group: visits that have ended.
       visits%c(active + 1:n) = 0.0_wp
-      call step_hits(polygon, march_hits, size(side, 2), corner, side, n, visits%px, visits%py, &
+      call step_hits(urn, march_hits, size(side, 2), corner, side, n, visits%px, visits%py, &
         visits%zx, visits%zy, visits%steps, visits%first, visits%c)
-      call compact_active(polygon, active, visits)
+      call compact_active(urn, active, visits)
     end do
     do j = 1, active
-      call continue_alone(polygon, huge(1.0_wp), visits%px(j), visits%py(j), visits%zx(j), &
+      call continue_alone(urn, huge(1.0_wp), visits%px(j), visits%py(j), visits%zx(j), &
         visits%zy(j), visits%first(j), visits%steps(j), state, ending)
       if (ending == channel1) then
-        call store_exit(polygon, visits, j)
+        call store_exit(urn, visits, j)
       else
         call store_truncated(visits, j, state, ending)
       end if
@@ -98,9 +98,9 @@ contains
   end subroutine load_visits
 
   !> Moves each particle that has not left through `most_hits` hits.
-  pure subroutine step_hits(polygon, most_hits, sides, corner, side, n, px, py, ux, uy, hits, &
+  pure subroutine step_hits(urn, most_hits, sides, corner, side, n, px, py, ux, uy, hits, &
     length, flies)
-    type(polygon_type), intent(in) :: polygon
+    type(urn_shape_type), intent(in) :: urn
     integer, intent(in) :: most_hits, sides, n
     !> As `list_sides` makes them.
     real(wp), intent(in) :: corner(2, 0:sides), side(4, sides)
@@ -111,18 +111,18 @@ contains
     real(wp) :: half_openings(2)
     integer :: first, last, count, hit
 
-    half_openings = merge(polygon%half_width, -1.0_wp, polygon%side > 0)
+    half_openings = merge(urn%half_width, -1.0_wp, urn%polygon%side > 0)
     do first = 1, n, lanes
       last = min(first + lanes - 1, n)
       count = last - first + 1
       do hit = 1, most_hits
-        if (polygon%convex) then
+        if (urn%polygon%convex) then
           call find_only_side(sides, corner, side, half_openings(channel1), &
             half_openings(channel2), count, px(first), py(first), ux(first), uy(first), normal_x, &
             normal_y, offset, half_opening)
         else
-          call find_nearest_side(polygon%sides, corner, side, polygon%tolerance, count, px(first), &
-            py(first), ux(first), uy(first), normal_x, normal_y, offset, half_opening)
+          call find_nearest_side(urn%polygon%sides, corner, side, urn%polygon%tolerance, count, &
+            px(first), py(first), ux(first), uy(first), normal_x, normal_y, offset, half_opening)
         end if
         call reflect_visits(count, normal_x, normal_y, offset, half_opening, px(first), py(first), &
           ux(first), uy(first), hits(first), length(first), flies(first))
@@ -323,8 +323,8 @@ contains
   end subroutine normalise_speeds
 
   !> Stores the visits that have ended, and compacts the arrays to the others.
-  pure subroutine compact_active(polygon, active, visits)
-    type(polygon_type), intent(in) :: polygon
+  pure subroutine compact_active(urn, active, visits)
+    type(urn_shape_type), intent(in) :: urn
     integer, intent(inout) :: active
     type(visits_type), intent(inout) :: visits
     integer :: j, kept
@@ -342,7 +342,7 @@ contains
         visits%slot(kept) = visits%slot(j)
         visits%c(kept) = 1.0_wp
       else
-        call store_exit(polygon, visits, j)
+        call store_exit(urn, visits, j)
       end if
     end do
     active = kept
@@ -350,8 +350,8 @@ contains
 
   !> Stores the end of a visit: the particle is in an opening, with a velocity that points outwards,
   !> and inside the walls of the channel, also where rounding has put it on one.
-  pure subroutine store_exit(polygon, visits, j)
-    type(polygon_type), intent(in) :: polygon
+  pure subroutine store_exit(urn, visits, j)
+    type(urn_shape_type), intent(in) :: urn
     type(visits_type), intent(inout) :: visits
     integer, intent(in) :: j
     integer :: mine, channel
@@ -361,15 +361,15 @@ contains
     visits%channel(mine) = channel
     visits%x(mine) = visits%px(j)
     visits%y(mine) = sign(min(abs(visits%py(j)), (0.5_wp - epsilon(1.0_wp)) &
-      *polygon%width(channel)), visits%py(j))
+      *urn%width(channel)), visits%py(j))
     visits%u_axial(mine) = max(abs(visits%zx(j)), slowest)
     visits%u_lateral(mine) = visits%zy(j)
     visits%length(mine) = visits%first(j)
-    visits%through(mine) = polygon%length(channel)/visits%u_axial(mine)
+    visits%through(mine) = urn%length(channel)/visits%u_axial(mine)
     visits%hits(mine) = visits%hits(mine) + visits%steps(j)
     if (visits%steps(j) >= many_hits) call list_visit_with_many_hits(visits, mine)
-    if (visits%steps(j)*max(visits%passage(mine), polygon%reach) <= longest_hits_time &
-      *polygon%reach) return
+    if (visits%steps(j)*max(visits%passage(mine), urn%reach) <= longest_hits_time &
+      *urn%reach) return
     visits%untraceable_count = visits%untraceable_count + 1
     visits%untraceable_index(visits%untraceable_count) = mine
   end subroutine store_exit
@@ -388,8 +388,8 @@ contains
   !> Moves a particle from side to side until it reaches an opening, its boundary state recurs, or a
   !> part is complete; at most until its path is `longest` long. The states after 1, 2, 4, ... hits
   !> are stored; each is compared with those that follow it until the next one is stored.
-  pure subroutine continue_alone(polygon, longest, x, y, ux, uy, length, steps, state, ending)
-    type(polygon_type), intent(in) :: polygon
+  pure subroutine continue_alone(urn, longest, x, y, ux, uy, length, steps, state, ending)
+    type(urn_shape_type), intent(in) :: urn
     real(wp), intent(in) :: longest
     real(wp), intent(inout) :: x, y, ux, uy
     !> Length of the path and number of hits, those before included.
@@ -410,11 +410,11 @@ contains
     same = .false.
     ending = truncated
     do hits = 1, most_part_hits
-      call find_next_side_robustly(polygon, (side), x, y, ux, uy, side, wait)
+      call find_next_side_robustly(urn%polygon, (side), x, y, ux, uy, side, wait)
       ! No side is found: treated as an orbit that recurs.
       same = side == 0
       if (same) then
-        state = state_on_side(polygon, nearest_side(polygon, x, y), x, y, ux, uy)
+        state = state_on_side(urn%polygon, nearest_side(urn%polygon, x, y), x, y, ux, uy)
         exit
       end if
       if (length + wait >= longest) then
@@ -425,18 +425,18 @@ contains
       x = x + ux*wait
       y = y + uy*wait
       length = length + wait
-      if (abs(y) < polygon%half_opening(side)) then
+      if (abs(y) < urn%polygon%half_opening(side)) then
         ending = channel1
         return
       end if
-      call reflect_from_side(polygon, side, x, y, ux, uy)
+      call reflect_from_side(urn%polygon, side, x, y, ux, uy)
       steps = steps + 1.0_wp
-      state = state_on_side(polygon, side, x, y, ux, uy)
+      state = state_on_side(urn%polygon, side, x, y, ux, uy)
       ! Two hits in one corner, along one of its sides, are no way back.
-      if (hits > 1 .and. length - kept_length > polygon%tolerance) same = has_returned(polygon, &
-        state, kept)
+      if (hits > 1 .and. length - kept_length > urn%polygon%tolerance) same = &
+        has_returned(urn%polygon, state, kept)
       if (same) exit
-      if (hits >= longest_period .and. length >= least_part*polygon%reach) exit
+      if (hits >= longest_period .and. length >= least_part*urn%reach) exit
       if (hits == keep) then
         kept = state
         kept_length = length
@@ -450,8 +450,8 @@ contains
   !> `compute_polygon_passages` takes. Rounding decides on which side a path passes a corner that it
   !> hits exactly: so this computes the same hits, by the same operations, with this particle in all
   !> lanes. At the time of a hit the particle has not been reflected.
-  subroutine follow_polygon_passage(polygon, x, y, ux, uy, elapsed, position, velocity, hits)
-    type(polygon_type), intent(in) :: polygon
+  subroutine follow_polygon_passage(urn, x, y, ux, uy, elapsed, position, velocity, hits)
+    type(urn_shape_type), intent(in) :: urn
     !> Start of the passage, and the time since then.
     real(wp), intent(in) :: x, y, ux, uy, elapsed
     !> x and y of each: lengths, and a vector of length 1; those at the end, if that is sooner.
@@ -460,7 +460,7 @@ contains
     integer(int64), intent(out) :: hits
     !> x, y, u_x, u_y, hits, length, and whether it flies, of each lane.
     real(wp) :: lane(group_size, 7), before(group_size, 7)
-    real(wp) :: corner(2, 0:padded(polygon)), side(4, padded(polygon))
+    real(wp) :: corner(2, 0:padded(urn%polygon)), side(4, padded(urn%polygon))
     type(boundary_state_type) :: state
     integer(int64) :: ending
     integer :: round, hit, slot(group_size)
@@ -468,10 +468,10 @@ contains
     before(:, 1:4) = spread([x, y, ux, uy], 1, group_size)
     call load_visits(group_size, before(:, 1), before(:, 2), before(:, 3), before(:, 4), &
       lane(:, 1), lane(:, 2), lane(:, 3), lane(:, 4), lane(:, 5), lane(:, 6), lane(:, 7), slot)
-    call list_sides(polygon, size(side, 2), corner, side)
+    call list_sides(urn%polygon, size(side, 2), corner, side)
     do round = 1, most_marches
       before = lane
-      call step_hits(polygon, march_hits, size(side, 2), corner, side, group_size, lane(:, 1), &
+      call step_hits(urn, march_hits, size(side, 2), corner, side, group_size, lane(:, 1), &
         lane(:, 2), lane(:, 3), lane(:, 4), lane(:, 5), lane(:, 6), lane(:, 7))
       if (lane(1, 6) >= elapsed .or. .not. lane(1, 7) > 0.0_wp) exit
     end do
@@ -479,13 +479,13 @@ contains
       ! By the same call with fewer hits, since other code would round otherwise.
       do hit = march_hits - 1, 0, -1
         lane = before
-        call step_hits(polygon, hit, size(side, 2), corner, side, group_size, lane(:, 1), &
+        call step_hits(urn, hit, size(side, 2), corner, side, group_size, lane(:, 1), &
           lane(:, 2), lane(:, 3), lane(:, 4), lane(:, 5), lane(:, 6), lane(:, 7))
         if (lane(1, 6) < elapsed) exit
       end do
       lane(1, 1:2) = lane(1, 1:2) + lane(1, 3:4)*(elapsed - lane(1, 6))
     else if (lane(1, 7) > 0.0_wp) then
-      call continue_alone(polygon, elapsed, lane(1, 1), lane(1, 2), lane(1, 3), lane(1, 4), &
+      call continue_alone(urn, elapsed, lane(1, 1), lane(1, 2), lane(1, 3), lane(1, 4), &
         lane(1, 6), lane(1, 5), state, ending)
     end if
     position = lane(1, 1:2)

@@ -22,7 +22,7 @@ module battery_scatterers
   !> within as many more never will.
   integer, parameter, public :: longest_part = 10000
 
-  !> Half of a channel; `count` is 0 if the channel has no discs.
+  !> Half of a channel with discs. Those of a channel without discs are not used.
   type :: scattered_half_channel_type
     integer :: count = 0
     !> Distance from the line to the urn, and from the axis to the walls.
@@ -34,7 +34,8 @@ module battery_scatterers
 contains
 
   !> Makes the half of the channel on the side `along` of the line: 1, or -1 for the half of urn 2.
-  !> Discs that do not reach into it are left out, but one is kept if all would be.
+  !> Discs that do not reach into it are left out, but one is kept if all would be: kernels look up
+  !> a disc for each particle, also for one that hits none.
   pure function new_scattered_half_channel(channel, scatterers, along) result(half_channel)
     type(channel_type), intent(in) :: channel
     !> (z, y, radius) of each disc.

@@ -30,7 +30,7 @@ module battery_table
   public :: passage_type, passage_at
   public :: area, perimeter, half_length, mean_urn_passage, shortest_excursion, try_random_point, &
     longest_run
-  public :: has_scatterers, relaxation_time
+  public :: relaxation_time
 
   !> Shapes: the circuit of Fig. model, and the single urn with a gate and an end wall of Fig. app1.
   integer, parameter :: shape_circuit = 1, shape_urn = 2
@@ -59,6 +59,8 @@ module battery_table
     !> line at 0 to urn 1. Half of the channel with the discs in it, by urn.
     real(wp), allocatable :: scatterers(:, :)
     type(scattered_half_channel_type) :: half_channel2(2)
+    !> Whether there are such discs: channel 2 is open then.
+    logical :: has_scatterers = .false.
     !> Length of an epoch: a power of two, at least four times the longest path from wall to wall.
     real(wp) :: epoch = 0.0_wp
   end type table_type
@@ -122,6 +124,7 @@ contains
       table%urn_across = [1, 2]
       table%channel(channel2)%width = 0.0_wp
     end if
+    table%has_scatterers = size(table%scatterers) > 0 .and. is_open(table%channel(channel2))
     do urn_index = 1, 2
       table%urn(urn_index) = urn(min(urn_index, table%urn_count))
       call derive_shape(table%urn(urn_index), table%channel)
@@ -132,21 +135,13 @@ contains
           this_urn%centre + this_urn%chord(channel2)]
         this_urn%periodic_line = this_urn%channel_start(channel2) + 0.5_wp*channel(channel2)%length
       end associate
-      if (size(table%scatterers) > 0 .and. is_open(table%channel(channel2))) &
-        table%half_channel2(urn_index) = new_scattered_half_channel(channel(channel2), &
-        table%scatterers, -x_direction(urn_index))
+      if (table%has_scatterers) table%half_channel2(urn_index) = new_scattered_half_channel( &
+        channel(channel2), table%scatterers, -x_direction(urn_index))
     end do
     table%epoch = power_above(4.0_wp*max(2.0_wp*maxval(table%urn%reach), &
       maxval(hypot(table%channel%length, table%channel%width), mask=is_open(table%channel))))
     table%urn%clock_resolution = epsilon(1.0_wp)*table%epoch
   end function new_table_of_urns
-
-  !> Whether there are discs (scatterers) in channel 2.
-  pure logical function has_scatterers(table)
-    type(table_type), intent(in) :: table
-
-    has_scatterers = table%half_channel2(1)%count > 0
-  end function has_scatterers
 
   !> Area |Q| of the whole table, open channels included.
   pure function area(table) result(total)
@@ -155,7 +150,7 @@ contains
 
     total = sum(table%urn(:table%urn_count)%area) + sum(0.5_wp*real(table%urn_count, &
       wp)*table%channel%length*table%channel%width)
-    if (.not. has_scatterers(table)) return
+    if (.not. table%has_scatterers) return
     call measure_scatterers(table%channel(channel2), table%scatterers, covered, added)
     total = total - covered
   end function area
@@ -168,7 +163,7 @@ contains
     length = sum(table%urn(:table%urn_count)%perimeter) + real(table%urn_count, &
       wp)*sum(table%channel%length, mask=is_open(table%channel))
     if (table%urn_across(1) == 1) length = length + table%channel(channel1)%width
-    if (.not. has_scatterers(table)) return
+    if (.not. table%has_scatterers) return
     call measure_scatterers(table%channel(channel2), table%scatterers, covered, added)
     length = length + added
   end function perimeter
@@ -192,7 +187,7 @@ contains
 
     associate (urn => table%urn(:table%urn_count), channel => table%channel(channel2))
       time = 2.0_wp*minval(urn%depth(channel1))
-      if (has_scatterers(table)) then
+      if (table%has_scatterers) then
         time = min(time, minval(urn%depth(channel2) + urn%depth(channel1)))
       else if (is_open(channel)) then
         time = min(time, 2.0_wp*minval(urn%depth(channel2)) + channel%length)
@@ -221,7 +216,7 @@ contains
     type(table_type), intent(in) :: table
     integer :: urn
 
-    has_finite_directions = .not. has_scatterers(table)
+    has_finite_directions = .not. table%has_scatterers
     do urn = 1, table%urn_count
       if (.not. has_finite_directions) return
       has_finite_directions = table%urn(urn)%shape == shape_polygon

@@ -1,17 +1,17 @@
 !> Urns: the list of their shapes, and the dispatch to each of them.
 !>
-!> A shape is a type that extends `urn_shape_type`, with the procedures below in the frame of the
-!> urn. A new shape is a file, a component of `urn_type`, and a `case` in each procedure here.
+!> A shape is a component of `urn_shape_type`, with the procedures below in the frame of the urn. A
+!> new shape is a file, such a component, and a `case` in each procedure here.
 !> Dispatch is by an integer, once a batch or once a wall, never through a pointer.
 module battery_urn
   use battery_kinds, only: wp, int64
   use battery_channel, only: channel_type, no_channel
   use battery_urn_shape, only: urn_shape_type
-  use battery_disc, only: disc_type, new_disc, is_in_disc, try_point_in_disc, locate_in_disc, &
+  use battery_disc, only: new_disc, is_in_disc, try_point_in_disc, locate_in_disc, &
     find_first_impact_in_disc, find_next_wall_in_disc, reflect_in_disc, reflect_overshoot_in_disc
   use battery_disc_passages, only: compute_disc_passages
   use battery_motion, only: wall_kind
-  use battery_polygon, only: polygon_type, new_polygon, is_in_polygon, try_point_in_polygon, &
+  use battery_polygon, only: new_polygon, is_in_polygon, try_point_in_polygon, &
     locate_in_polygon, find_first_impact_in_polygon, find_next_wall_in_polygon, &
     reflect_in_polygon, reflect_overshoot_in_polygon
   use battery_polygon_passages, only: compute_polygon_passages, follow_polygon_passage
@@ -28,13 +28,10 @@ module battery_urn
   !> An urn of the table.
   type, extends(urn_shape_type) :: urn_type
     !> As specified by the user: shape, radius of a disc or of a regular polygon, corners of a
-    !> polygon as (x, y) in columns.
+    !> polygon as (x, y) in columns. The geometry is derived from these.
     integer :: shape = shape_disc
     real(wp) :: radius = 1.0_wp
     real(wp), allocatable :: corner(:, :)
-    !> Geometry derived from these, by shape.
-    type(disc_type) :: disc
-    type(polygon_type) :: polygon
     !> Position in the table: |x| of its origin, and of the periodic line at the end of its half of
     !> channel 2; |x| at which each channel starts; direction of its x axis along that of the table,
     !> 1 or -1.
@@ -69,11 +66,9 @@ contains
 
     select case (urn%shape)
     case (shape_polygon)
-      urn%polygon = new_polygon(urn%corner, channel)
-      urn%urn_shape_type = urn%polygon%urn_shape_type
+      urn%urn_shape_type = new_polygon(urn%corner, channel)
     case default
-      urn%disc = new_disc(urn%radius, channel)
-      urn%urn_shape_type = urn%disc%urn_shape_type
+      urn%urn_shape_type = new_disc(urn%radius, channel)
     end select
   end subroutine derive_shape
 
@@ -101,7 +96,7 @@ contains
     case (shape_polygon)
       inside = is_in_polygon(urn%polygon, x, y, tolerance)
     case default
-      inside = is_in_disc(urn%disc, x, y, tolerance)
+      inside = is_in_disc(urn%urn_shape_type, x, y, tolerance)
     end select
   end function contains_point
 
@@ -118,7 +113,7 @@ contains
     case (shape_polygon)
       call try_point_in_polygon(urn%polygon, across, up, x, y, inside)
     case default
-      call try_point_in_disc(urn%disc, across, up, x, y, inside)
+      call try_point_in_disc(urn%urn_shape_type, across, up, x, y, inside)
     end select
     x = urn%axis_sign*(x - urn%centre)
   end subroutine try_random_point
@@ -131,9 +126,9 @@ contains
 
     select case (urn%shape)
     case (shape_polygon)
-      call compute_polygon_passages(urn%polygon, visits)
+      call compute_polygon_passages(urn%urn_shape_type, visits)
     case default
-      call compute_disc_passages(urn%disc, visits)
+      call compute_disc_passages(urn%urn_shape_type, visits)
     end select
   end subroutine compute_passages
 
@@ -153,7 +148,9 @@ contains
       call find_first_impact_in_polygon(urn%polygon, x, y, ux, uy, at, u_axial, u_lateral, wait, &
         before)
     case default
-      call find_first_impact_in_disc(urn%disc, x, y, ux, uy, at, u_axial, u_lateral, wait, before)
+      call find_first_impact_in_disc(urn%urn_shape_type, x, y, ux, uy, at, u_axial, u_lateral, wait)
+      ! `locate_in_disc` counts the impact itself.
+      before = 0
     end select
   end subroutine find_first_impact
 
@@ -194,7 +191,8 @@ contains
 
     select case (urn%shape)
     case (shape_polygon)
-      call follow_polygon_passage(urn%polygon, x, y, ux, uy, elapsed, position, velocity, hits)
+      call follow_polygon_passage(urn%urn_shape_type, x, y, ux, uy, elapsed, position, velocity, &
+        hits)
     case default
       call locate_after(urn, x, y, ux, uy, elapsed, position, velocity, hits)
     end select
@@ -220,10 +218,11 @@ contains
 
     select case (urn%shape)
     case (shape_polygon)
-      call locate_in_polygon(urn%polygon, channel, y, u_axial, u_lateral, since, position, &
+      call locate_in_polygon(urn%urn_shape_type, channel, y, u_axial, u_lateral, since, position, &
         velocity, hits, passes_corner)
     case default
-      call locate_in_disc(urn%disc, channel, y, u_axial, u_lateral, since, position, velocity, hits)
+      call locate_in_disc(urn%urn_shape_type, channel, y, u_axial, u_lateral, since, position, &
+        velocity, hits)
     end select
   end subroutine locate_in_passage
 
@@ -239,8 +238,8 @@ contains
     integer(int64) :: hits
 
     meets_corner = .false.
-    if (urn%shape == shape_polygon) call locate_in_polygon(urn%polygon, channel, y, u_axial, &
-      u_lateral, since, position, velocity, hits, meets_corner)
+    if (urn%shape == shape_polygon) call locate_in_polygon(urn%urn_shape_type, channel, y, &
+      u_axial, u_lateral, since, position, velocity, hits, meets_corner)
   end function meets_corner
 
   !> Finds the wall or opening `next` that a particle in the urn, or at an opening, reaches first,
@@ -258,7 +257,7 @@ contains
     case (shape_polygon)
       call find_next_wall_in_polygon(urn%polygon, from, x, y, ux, uy, next, wait)
     case default
-      call find_next_wall_in_disc(urn%disc, from, x, y, ux, uy, next, wait)
+      call find_next_wall_in_disc(urn%urn_shape_type, from, x, y, ux, uy, next, wait)
     end select
   end subroutine find_next_wall
 
@@ -275,7 +274,7 @@ contains
     case (shape_polygon)
       call reflect_in_polygon(urn%polygon, x, y, ux, uy, next, wait)
     case default
-      call reflect_in_disc(urn%disc, urn%clock_resolution, x, y, ux, uy, next, wait)
+      call reflect_in_disc(urn%urn_shape_type, urn%clock_resolution, x, y, ux, uy, next, wait)
     end select
   end subroutine reflect_at_wall
 
@@ -291,7 +290,7 @@ contains
     case (shape_polygon)
       call reflect_overshoot_in_polygon(urn%polygon, x, y, ux, uy, was_beyond)
     case default
-      call reflect_overshoot_in_disc(urn%disc, x, y, ux, uy, was_beyond)
+      call reflect_overshoot_in_disc(urn%urn_shape_type, x, y, ux, uy, was_beyond)
     end select
   end subroutine reflect_overshoot
 

@@ -1,4 +1,4 @@
-!> Base type of all shapes of urns: the quantities that every shape provides, and the passage of a
+!> The shape of an urn: the quantities that every shape provides, and the passage of a
 !> batch of visits through the straight channels before the openings.
 !>
 !> Particles do not interact in an urn. A passage through it is a pure function from entry (opening,
@@ -9,12 +9,43 @@
 !> Frame of either urn: the origin lies between the openings, channel 1 at +x, channel 2 at -x (urn
 !> 2 is mirrored). A channel starts at a chord perpendicular to the axis.
 module battery_urn_shape
-  use battery_kinds, only: wp, int64, pi
+  use battery_kinds, only: wp, int64, angle_kind, pi
   use battery_channel, only: channel_type, channel1, channel2, fold_into_channel
   use battery_visits, only: visits_type, group_size
   implicit none (type, external)
   private
-  public :: urn_shape_type, set_openings, mean_urn_passage, cross_channels
+  public :: urn_shape_type, disc_type, polygon_type, set_openings, mean_urn_passage, cross_channels
+
+  !> What only a disc has. Its radius is the reach of its urn.
+  type :: disc_type
+    !> 1/radius**2.
+    real(wp) :: curvature2 = 1.0_wp
+    !> Half widths of the openings in units of the radius; half the angles of their arcs, as
+    !> integers.
+    real(wp) :: half_opening(2) = 0.0_wp
+    integer(angle_kind) :: angle(2) = 0
+    !> Whether passages are first computed by stepping from impact to impact.
+    logical :: stepping_pays = .true.
+  end type disc_type
+
+  !> What only a polygon has. Side k goes from corner k to corner k + 1.
+  type :: polygon_type
+    integer :: sides = 0
+    !> Corners; the first is repeated at the end.
+    real(wp), allocatable :: x(:), y(:)
+    !> By side: outward normal, of length 1; distance from the origin along it; length; arc length
+    !> along the outline at which the side starts.
+    real(wp), allocatable :: normal_x(:), normal_y(:), offset(:), length_of(:), arc_start(:)
+    !> Half the width of the opening in a side; -1 if it has none.
+    real(wp), allocatable :: half_opening(:)
+    !> Sides with the openings of channel 1 and 2 (0: none); length of the outline.
+    integer :: side(2) = 0
+    real(wp) :: outline_length = 0.0_wp
+    !> Whether the polygon is convex: a path out of it crosses one side only.
+    logical :: convex = .false.
+    !> Lengths below this may be rounding errors.
+    real(wp) :: tolerance = 0.0_wp
+  end type polygon_type
 
   !> What every shape provides; lengths in the unit of the table.
   type :: urn_shape_type
@@ -35,6 +66,9 @@ module battery_urn_shape
     real(wp) :: depth(2) = 0.0_wp
     !> Whether passages with very many hits are truncated (`truncated` of `battery_visits`).
     logical :: truncates_passages = .false.
+    !> What only its shape has; the other is not set.
+    type(disc_type) :: disc
+    type(polygon_type) :: polygon
   end type urn_shape_type
 
 contains

@@ -33,8 +33,8 @@ module battery_visits
   !> A batch of visits; arrays are padded to whole groups of `group_size`.
   type :: visits_type
     integer :: count = 0
-    !> Visits that the arrays can hold; below 0 before they are allocated.
-    integer, private :: capacity = -1
+    !> Visits that the arrays can hold.
+    integer, private :: capacity = 0
     !> Particle of each visit, and its urn (1 or 2).
     integer, allocatable :: particle(:), urn(:)
     !> Before `cross_channels`: time of entry into the channel before the urn; after it: time of
@@ -90,7 +90,7 @@ module battery_visits
 
 contains
 
-  !> Empties the batch, and allocates it for `capacity` visits if it is smaller.
+  !> Empties the batch, and allocates it for `capacity` visits, or none, if it is not larger.
   subroutine reserve_visits(visits, capacity)
     type(visits_type), intent(inout) :: visits
     integer, intent(in) :: capacity
@@ -98,7 +98,7 @@ contains
     visits%count = 0
     visits%many_hits_count = 0
     visits%untraceable_count = 0
-    if (capacity > visits%capacity) call allocate_visits(visits, capacity)
+    if (capacity >= visits%capacity) call allocate_visits(visits, capacity)
   end subroutine reserve_visits
 
   !> Allocates an empty batch for at least `capacity` visits.

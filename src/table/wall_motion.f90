@@ -104,17 +104,15 @@ contains
     type(motion_type), intent(inout) :: motion
     real(wp), intent(out) :: wait
 
-    if (motion%chamber == in_channel2) then
-      associate (urn => table%urn(motion%urn), half_channel => table%half_channel2(motion%urn))
-        if (half_channel%count > 0) then
-          call find_next_wall_in_half_channel(half_channel, &
-            urn%periodic_line + urn%axis_sign*motion%x, motion%y, urn%axis_sign*motion%ux, &
-            motion%uy, motion%next, wait)
-          return
-        end if
-      end associate
-    end if
-    call find_next_wall_in_strip(table%urn(motion%urn), motion, wait)
+    associate (urn => table%urn(motion%urn))
+      if (table%has_scatterers .and. motion%chamber == in_channel2) then
+        call find_next_wall_in_half_channel(table%half_channel2(motion%urn), &
+          urn%periodic_line + urn%axis_sign*motion%x, motion%y, urn%axis_sign*motion%ux, &
+          motion%uy, motion%next, wait)
+      else
+        call find_next_wall_in_strip(urn, motion, wait)
+      end if
+    end associate
   end subroutine find_next_wall_in_channel
 
   !> As `find_next_wall_in_channel`, for a channel without discs.
@@ -225,10 +223,10 @@ contains
     type(motion_type), intent(in) :: motion
     logical :: trapped
 
-    associate (urn => table%urn(motion%urn), half_channel => table%half_channel2(motion%urn))
-      if (half_channel%count > 0 .and. motion%chamber == in_channel2) then
-        call detect_periodic_path(half_channel, urn%periodic_line + urn%axis_sign*motion%x, &
-          motion%y, urn%axis_sign*motion%ux, motion%uy, trapped)
+    associate (urn => table%urn(motion%urn))
+      if (table%has_scatterers .and. motion%chamber == in_channel2) then
+        call detect_periodic_path(table%half_channel2(motion%urn), urn%periodic_line &
+          + urn%axis_sign*motion%x, motion%y, urn%axis_sign*motion%ux, motion%uy, trapped)
       else
         trapped = motion%next == meets_nothing &
           .or. (motion%chamber /= in_urn .and. .not. abs(motion%ux) > 0.0_wp)

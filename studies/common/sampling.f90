@@ -54,10 +54,10 @@ contains
     if (.not. allocated(log%time)) allocate (log%time(0), log%kind(0), log%where(0), &
       log%particle(0))
     associate (n => event_record%events)
-      log%time = [log%time, window_start + event_record%event_time(:n)]
-      log%kind = [log%kind, int(event_record%event_kind(:n))]
-      log%where = [log%where, int(event_record%event_where(:n))]
-      log%particle = [log%particle, int(event_record%event_particle(:n))]
+      log%time = [log%time, window_start + event_record%event(:n)%time]
+      log%kind = [log%kind, int(event_record%event(:n)%kind)]
+      log%where = [log%where, int(event_record%event(:n)%where)]
+      log%particle = [log%particle, int(event_record%event(:n)%particle)]
     end associate
   end subroutine append_events
 

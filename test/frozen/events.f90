@@ -45,9 +45,10 @@ program events
   do while (duration - elapsed > 4.0_wp*epsilon(1.0_wp)*duration)
     call engine%advance(duration - elapsed, event_record)
     do i = 1, event_record%events
-      write (output_unit, '(a, 3(1x, i0), es48.36e4)') 'event', event_record%event_kind(i), &
-        event_record%event_where(i), event_record%event_particle(i), &
-        elapsed + event_record%event_time(i)
+      associate (event => event_record%event(i))
+        write (output_unit, '(a, 3(1x, i0), es48.36e4)') 'event', event%kind, event%where, &
+          event%particle, elapsed + event%time
+      end associate
     end do
     elapsed = elapsed + event_record%duration
   end do

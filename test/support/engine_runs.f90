@@ -99,10 +99,10 @@ contains
 
     subroutine append_events()
       call extend_log(log, log%events + n)
-      log%time(log%events + 1:log%events + n) = log%elapsed + event_record%event_time(:n)
-      log%kind(log%events + 1:log%events + n) = event_record%event_kind(:n)
-      log%where(log%events + 1:log%events + n) = event_record%event_where(:n)
-      log%particle(log%events + 1:log%events + n) = event_record%event_particle(:n)
+      log%time(log%events + 1:log%events + n) = log%elapsed + event_record%event(:n)%time
+      log%kind(log%events + 1:log%events + n) = event_record%event(:n)%kind
+      log%where(log%events + 1:log%events + n) = event_record%event(:n)%where
+      log%particle(log%events + 1:log%events + n) = event_record%event(:n)%particle
       log%events = log%events + n
     end subroutine append_events
 

@@ -50,7 +50,7 @@ contains
           if (channel == 0) then
             call add(polygon%x(k), polygon%y(k), polygon%x(k + 1), polygon%y(k + 1))
           else
-            associate (edge => facing(channel)*polygon%half_width(channel))
+            associate (edge => facing(channel)*here%half_width(channel))
               call add(polygon%x(k), polygon%y(k), polygon%x(k), -edge)
               call add(polygon%x(k), edge, polygon%x(k), polygon%y(k + 1))
             end associate

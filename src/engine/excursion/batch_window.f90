@@ -3,8 +3,8 @@
 module battery_batch_window
   use battery_kinds, only: wp, int8, int64
   use battery_table, only: channel1, channel2
-  use battery_gate, only: gate_type, gate_window_type, reserve_gate_window, apply_rule_to_window, &
-    number_inside
+  use battery_gate, only: gate_type, gate_window_type, crossing_list_type, reserve_gate_window, &
+    apply_rule_to_window, number_inside
   use battery_ordering, only: sort_by_time
   use battery_calendar, only: calendar_type
   use battery_flight, only: flight_type, middle_time, never, to_gate, counted_in_gate
@@ -30,12 +30,10 @@ module battery_batch_window
     integer, allocatable :: particle(:, :)
     !> For each gate, the entries of the window and the reversals that follow from them.
     type(gate_window_type) :: gate_window(2)
-    !> Crossings of all lines: time, and a sort key that encodes line and particle
-    !> (`crossing_order_of`). The gates write the particle alone, which is the key of the first
-    !> line; `sort_crossings` adds the line to the keys of the others.
-    integer :: crossings = 0
-    real(wp), allocatable :: crossing_time(:)
-    integer, allocatable :: crossing_order(:)
+    !> Crossings of all lines; `order` encodes line and particle (`crossing_order_of`). The gates
+    !> write the particle alone, which is that of the first line; `sort_crossings` adds the line to
+    !> the others.
+    type(crossing_list_type) :: crossings
   end type batch_window_type
 
 contains
@@ -60,22 +58,19 @@ contains
     type(event_record_type), intent(inout) :: event_record
     !> Wall hits of all visits; increased by hits on the end wall of a single urn.
     integer(int64), intent(inout) :: computed_hits
-    integer :: urn, before, crossed, crossed_before, from_gate(2)
+    integer :: urn, before, from_gate(2)
 
     call reserve_batch_window(window, events, number_inside(gate))
     associate (v => visits, w => window, due => calendar%due_time, particle => calendar%particle)
-      call partition_events(number, flight, events, due, particle, size(w%crossing_order), &
+      call partition_events(number, flight, events, due, particle, size(w%crossings%order), &
         w%partition_count, w%due, w%middle, w%particle)
-      crossed = 0
       do urn = 1, 2
         before = v%count
-        crossed_before = crossed
         call apply_rule_to_window(gate(urn), w%gate_window(urn), w%partition_count(urn), w%due(:, &
-          urn), w%middle(:, urn), w%particle(:, urn), window_end, v%count, v%particle, &
-          v%reversal_time, crossed, w%crossing_order, w%crossing_time)
+          urn), w%middle(:, urn), w%particle(:, urn), window_end, v, w%crossings)
         v%urn(before + 1:v%count) = urn
         v%channel(before + 1:v%count) = channel1
-        from_gate(urn) = crossed - crossed_before
+        from_gate(urn) = w%crossings%count - sum(from_gate(:urn - 1))
         if (urn_across(urn) == urn) computed_hits = computed_hits + from_gate(urn)
       end do
       call sort_crossings(w, from_gate(1), from_gate(2))
@@ -85,13 +80,13 @@ contains
       else
         event_record%reversals = w%gate_window%reversals
         event_record%bounce_backs = v%count
-        event_record%crossings = w%crossings
-        call record_crossings(w%crossings, w%crossing_time, w%crossing_order, number, flight, &
-          window_start, event_record%crossing_time, event_record%crossing)
+        event_record%crossings = w%crossings%count
+        call record_crossings(w%crossings%count, w%crossings%time, w%crossings%order, number, &
+          flight, window_start, event_record%crossing_time, event_record%crossing)
       end if
       before = v%count + 1
-      v%count = v%count + w%crossings
-      call add_crossing_visits(w%crossings, w%crossing_order, urn_across, number, flight, &
+      v%count = v%count + w%crossings%count
+      call add_crossing_visits(w%crossings%count, w%crossings%order, urn_across, number, flight, &
         v%particle(before:v%count), v%urn(before:v%count), v%channel(before:v%count), &
         v%reversal_time(before:v%count))
     end associate
@@ -110,16 +105,16 @@ contains
     do urn = 1, 2
       call reserve_gate_window(window%gate_window(urn), events + counted(urn))
     end do
-    window%crossings = 0
+    window%crossings%count = 0
     capacity = events + sum(counted)
-    if (allocated(window%crossing_order)) then
-      if (size(window%crossing_order) >= capacity) return
-      deallocate (window%due, window%middle, window%particle, window%crossing_time, &
-        window%crossing_order)
+    if (allocated(window%crossings%order)) then
+      if (size(window%crossings%order) >= capacity) return
+      deallocate (window%due, window%middle, window%particle, window%crossings%time, &
+        window%crossings%order)
     end if
     capacity = max(64, 2*capacity)
     allocate (window%due(capacity, 3), window%middle(capacity, 3), window%particle(capacity, 3), &
-      window%crossing_time(capacity), window%crossing_order(capacity))
+      window%crossings%time(capacity), window%crossings%order(capacity))
   end subroutine reserve_batch_window
 
   !> Assigns the due events to gates and line; particles that enter a gate are inside from now on.
@@ -169,13 +164,13 @@ contains
 
     crossed = from_gate1 + from_gate2
     periodic = window%partition_count(periodic_line)
-    window%crossing_order(from_gate1 + 1:crossed) = crossing_order_of(2, &
-      window%crossing_order(from_gate1 + 1:crossed))
-    window%crossing_time(crossed + 1:crossed + periodic) = window%due(:periodic, periodic_line)
-    window%crossing_order(crossed + 1:crossed + periodic) = crossing_order_of(periodic_line, &
+    window%crossings%order(from_gate1 + 1:crossed) = crossing_order_of(2, &
+      window%crossings%order(from_gate1 + 1:crossed))
+    window%crossings%time(crossed + 1:crossed + periodic) = window%due(:periodic, periodic_line)
+    window%crossings%order(crossed + 1:crossed + periodic) = crossing_order_of(periodic_line, &
       window%particle(:periodic, periodic_line))
-    window%crossings = crossed + periodic
-    call sort_by_time(window%crossings, window%crossing_time, window%crossing_order)
+    window%crossings%count = crossed + periodic
+    call sort_by_time(window%crossings%count, window%crossings%time, window%crossings%order)
   end subroutine sort_crossings
 
   !> Encodes a crossing in one integer, which is decoded without a branch. At one time the lesser
@@ -283,10 +278,10 @@ contains
     reversed = 0
     do k = 1, events
       ! At one time, crossings of the middle line come before other events.
-      do while (next <= window%crossings)
-        if (window%crossing_time(next) > due_time(k)) exit
-        if (window%crossing_time(next) >= due_time(k) &
-          .and. line_of_crossing(window%crossing_order(next)) == periodic_line) exit
+      do while (next <= window%crossings%count)
+        if (window%crossings%time(next) > due_time(k)) exit
+        if (window%crossings%time(next) >= due_time(k) &
+          .and. line_of_crossing(window%crossings%order(next)) == periodic_line) exit
         call record_next_crossing()
       end do
       if (flight(due_particle(k))%next_event /= counted_in_gate) then
@@ -304,7 +299,7 @@ contains
           gate_window%reversed(reversed(urn)))
       end associate
     end do
-    do while (next <= window%crossings)
+    do while (next <= window%crossings%count)
       call record_next_crossing()
     end do
 
@@ -314,9 +309,9 @@ contains
     subroutine record_next_crossing()
       integer :: particle, from, channel
 
-      call decode_crossing_order(number, flight, window%crossing_order(next), particle, from, &
+      call decode_crossing_order(number, flight, window%crossings%order(next), particle, from, &
         channel)
-      call record_crossing(event_record, window%crossing_time(next) - window_start, &
+      call record_crossing(event_record, window%crossings%time(next) - window_start, &
         crossing_of(from, channel), particle)
       next = next + 1
     end subroutine record_next_crossing

@@ -63,7 +63,7 @@ module battery_excursion
     schedule_events, open_buckets_until, next_due_time, count_due_before, drop_done_events, &
     rebase_calendar
   use battery_table, only: channel1, channel2, urn_at, are_mirror_images, mean_urn_passage, &
-    shortest_excursion, has_scatterers
+    shortest_excursion
   use battery_urn_shape, only: cross_channels
   use battery_urn, only: compute_passages
   use battery_passage_starts, only: start_words, store_passage_starts, correct_by_passage, &
@@ -115,8 +115,6 @@ module battery_excursion
     logical, public :: precomputes_visits = .false.
     !> Visits that have been computed before they begin.
     type(precomputed_visits_type) :: precomputed
-    !> Whether channel 2 has discs.
-    logical :: has_scatterers = .false.
     !> Visits on a table with discs in channel 2.
     type(scatterer_visits_type) :: scatterer_visits
     !> Least time from an event to the next one that depends on it.
@@ -183,20 +181,20 @@ contains
       + mean_urn_passage(self%table%urn(2))) + 0.25_wp*pi*self%table%channel(channel1)%length
     self%lookahead = shortest_excursion(self%table)
     self%window = min(self%lookahead, real(self%batch, wp)*self%interval/real(self%number, wp))
-    self%has_scatterers = has_scatterers(self%table)
-    if (self%has_scatterers) then
+    if (self%table%has_scatterers) then
       call new_scatterer_visits(self%scatterer_visits, self%number)
       self%window = min(self%window, max(least_window*self%lookahead, &
         window_hits*narrowest_gap(self%table%channel(channel2), self%table%scatterers)))
     end if
-    self%precomputes_visits = self%batches == 1 .and. .not. self%has_scatterers .and. &
+    self%precomputes_visits = self%batches == 1 .and. .not. self%table%has_scatterers .and. &
       precomputing_pays(self%number, real(self%number, wp)*self%lookahead/self%interval, &
       self%gate%threshold)
     if (allocated(self%flight)) deallocate (self%flight, self%passage_starts)
     call new_flights(self%flight, self%number)
     call new_long_visits(self%long_visits, self%number, maxval(self%table%urn%reach))
     allocate (self%passage_starts(start_words, merge(self%number, 0, &
-      any(self%table%urn%truncates_passages) .and. .not. self%has_scatterers)), source=0.0_wp)
+      any(self%table%urn%truncates_passages) .and. .not. self%table%has_scatterers)), &
+      source=0.0_wp)
     self%computed_hits = 0
     self%reported_hits = 0
     self%partial_count = 0
@@ -209,7 +207,7 @@ contains
     type(particles_type), intent(inout) :: particles
     integer :: i
 
-    if (self%has_scatterers) then
+    if (self%table%has_scatterers) then
       call load_particles_with_scatterers(self, particles)
     else
       call load_particles_straight(self, particles)
@@ -267,12 +265,8 @@ contains
 
     associate (flight => self%flight(i))
       select case (flight%next_event)
-      case (to_gate)
-        call schedule_event(self%calendar, self%flight, i, flight%time)
-      case (to_periodic_line)
-        call schedule_event(self%calendar, self%flight, i, flight%time + 0.5_wp*flight%through)
-      case (partial_visit)
-        call schedule_event(self%calendar, self%flight, i, flight%time - flight%through)
+      case (to_gate, to_periodic_line, partial_visit)
+        call schedule_event(self%calendar, self%flight, i, flight%due)
       case (counted_in_gate)
         call enter_gate(self%gate(flight%urn), flight%time + 0.5_wp*flight%through, i)
       case default
@@ -328,7 +322,7 @@ contains
     due_count = count_due_before(self%calendar%sorted, self%calendar%due_time, window_end)
     event_count = due_count
     self%resumed_count = 0
-    if (self%partial_count > 0 .or. self%has_scatterers) call split_off_partial_visits( &
+    if (self%partial_count > 0 .or. self%table%has_scatterers) call split_off_partial_visits( &
       self%number, self%flight, self%calendar%due_time, self%calendar%particle, event_count, &
       self%resumed_count, self%resumed_time, self%resumed)
     counted = number_inside(self%gate)
@@ -343,7 +337,7 @@ contains
         event_record, self%computed_hits)
     end if
     call drop_done_events(self%calendar, due_count)
-    if (self%has_scatterers) then
+    if (self%table%has_scatterers) then
       call compute_window_visits_with_scatterers(self, window_start, window_end, event_record)
     else
       if (self%resumed_count > 0) call continue_partial_visits(self)
@@ -402,7 +396,7 @@ contains
 
     call rebase_calendar(self%calendar, self%flight)
     if (self%precomputes_visits) self%flight%precomputed_slot = 0
-    if (self%has_scatterers) self%scatterer_visits%visit_start%time = &
+    if (self%table%has_scatterers) self%scatterer_visits%visit_start%time = &
       self%scatterer_visits%visit_start%time - self%epoch
     self%flight%time = self%flight%time - self%epoch
     call rebase_long_visits(self%long_visits, self%epoch)
@@ -432,7 +426,7 @@ contains
     associate (flight => self%flight(i), urn => self%table%urn(self%flight(i)%urn))
       if (flight%next_event == trapped_in_channel) then
         call locate_trapped_particle(urn, flight, self%trapped_x(i), self%now, state, hits)
-      else if (self%has_scatterers .and. flight%next_event /= counted_in_gate &
+      else if (self%table%has_scatterers .and. flight%next_event /= counted_in_gate &
         .and. (flight%next_event /= to_gate .or. self%now < flight%time)) then
         call locate_by_replay(self%table, self%scatterer_visits%visit_start(i), self%now, state, &
           hits)
@@ -444,8 +438,8 @@ contains
           call locate_particle(urn, flight, self%now, state(:2), state(3:), hits)
         end if
         if (urn%truncates_passages .and. flight%next_event /= counted_in_gate .and. .not. &
-          self%has_scatterers) call correct_by_passage(self%passage_starts(:, i), urn, flight, &
-          self%now, from_start, state(:2), state(3:), hits)
+          self%table%has_scatterers) call correct_by_passage(self%passage_starts(:, i), urn, &
+          flight, self%now, from_start, state(:2), state(3:), hits)
         state(1) = urn%axis_sign*(state(1) - urn%centre)
         state(3) = urn%axis_sign*state(3)
       end if
@@ -479,7 +473,7 @@ contains
 
     total = count(self%flight%next_event == trapped_in_urn .or. self%flight%next_event == &
       trapped_in_channel)
-    if (.not. self%has_scatterers) return
+    if (.not. self%table%has_scatterers) return
     do i = 1, self%number
       if (self%flight(i)%next_event /= partial_visit) cycle
       call locate_particle_now(self, i, state, hits)
@@ -494,10 +488,6 @@ contains
     type(archive_type), intent(inout) :: archive
     integer :: i
 
-    ! In a saved state, x of a particle trapped in a channel is stored in place of `u_axial`.
-    if (allocated(self%trapped_x) .and. .not. archive%reading) then
-      where (self%flight%next_event == trapped_in_channel) self%flight%u_axial = self%trapped_x
-    end if
     ! Names in saved states are a format: they stay when a component is renamed.
     call archive%serialize('known_hits', self%computed_hits)
     call archive%serialize('told_hits', self%reported_hits)
@@ -506,11 +496,9 @@ contains
     call archive%serialize('due', self%flight%due, 'time', self%flight%time, 'y', self%flight%y)
     call archive%serialize('along', self%flight%u_axial, 'across', self%flight%u_lateral, &
       'length', self%flight%length, 'through', self%flight%through)
-    if (any(self%flight%next_event == trapped_in_channel)) then
-      self%trapped_x = self%flight%u_axial
-      where (self%flight%next_event == trapped_in_channel) self%flight%u_axial = 0.0_wp
-    end if
-    if (self%has_scatterers) then
+    if (any(self%flight%next_event == trapped_in_channel)) &
+      call archive%serialize_list('trapped_x', self%trapped_x)
+    if (self%table%has_scatterers) then
       call serialize_visit_starts(self%scatterer_visits, self%flight%urn, archive)
     else
       call serialize_long_visits(self%long_visits, self%flight, archive)
@@ -518,7 +506,7 @@ contains
     end if
     if (.not. archive%reading .or. archive%failed()) return
     self%partial_count = merge(0, count(self%flight%next_event == partial_visit), &
-      self%has_scatterers)
+      self%table%has_scatterers)
     call new_calendar(self%calendar, self%number, self%interval)
     do i = 1, self%number
       if (any(self%flight(i)%next_event == [to_gate, to_periodic_line, partial_visit])) &

@@ -35,8 +35,8 @@ module battery_flight
     !> Time, height, |u_x| and u_y at the entry into the next channel, or into the channel that the
     !> particle is in.
     real(wp) :: time, y, u_axial, u_lateral
-    !> Time through the channel if no gate reverses, and length of the passage through the
-    !> urn before it.
+    !> Time through the channel if no gate reverses, which is not used of a particle without such an
+    !> entry, and length of the passage through the urn before it.
     real(wp) :: through, length
   end type flight_type
 
@@ -52,8 +52,7 @@ module battery_flight
   !> - `trapped_in_urn`: never leaves; the flight holds one impact, as `visits_type` describes it,
   !>   and its time.
   !> - `trapped_in_channel`: never leaves; time, y and u_y hold, x is stored elsewhere.
-  !> - `partial_visit`: as `trapped_in_urn`, until the next part of the visit is computed;
-  !>   `through` is the time from then to the impact.
+  !> - `partial_visit`: as `trapped_in_urn`, until the next part of the visit is computed, at `due`.
   integer(int16), parameter :: to_gate = 1, to_periodic_line = 2, counted_in_gate = 3, &
     trapped_in_urn = 4, trapped_in_channel = 5, partial_visit = 6
 
@@ -108,6 +107,7 @@ contains
       flight%u_axial = abs(ux)
       flight%through = table%channel(passage%channel)%length/abs(ux)
       flight%u_lateral = passage%reflected*uy
+      if (passage%channel /= channel1) flight%due = flight%time + 0.5_wp*flight%through
       hits = hits - int(passage%hits, int64)
     else
       associate (urn => table%urn(passage%urn), at => visits%count + 1)

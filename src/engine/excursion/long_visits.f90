@@ -8,14 +8,13 @@
 !> channel, or from the urn. And it is stored if a slow particle enters a disc along the wall: the
 !> rounding errors of many short chords grow with the time in the channel before them.
 !>
-!> A start is a copy of the previous flight: a few words are copied, nothing is computed. It is
-!> valid as long as it belongs to the visit before the flight of its particle; invalid ones are
-!> dropped when the store is full.
+!> A start is a copy of the previous flight: nothing is computed. It is valid as long as it belongs
+!> to the visit before the flight of its particle; invalid ones are dropped when the store is full.
 module battery_long_visits
-  use battery_kinds, only: wp, int16, int32, int64
+  use battery_kinds, only: wp, int32, int64
   use battery_channel, only: fold_into_channel, channel1, channel2, facing, no_channel
-  use battery_flight, only: flight_type, never, to_gate, to_periodic_line, trapped_in_urn, &
-    partial_visit
+  use battery_flight, only: flight_type, idle_flight, never, to_gate, to_periodic_line, &
+    trapped_in_urn, partial_visit
   use battery_archive, only: archive_type
   use battery_urn, only: urn_type, locate_in_passage, locate_after
   use battery_visits, only: visits_type
@@ -34,18 +33,16 @@ module battery_long_visits
   !> rounding.
   real(wp), parameter :: same_time = 1.0e-11_wp
 
-  !> The start of a visit, in one cache line.
+  !> The start of a visit.
   type :: visit_start_type
-    !> As in the previous flight. `next_event` `counted_in_gate` or `to_periodic_line`: the
-    !> particle's entry into the channel before the urn. `partial_visit`: an impact in the urn,
-    !> described as `visits_type` describes one of a particle that never leaves.
-    real(wp) :: time = 0.0_wp, y = 0.0_wp, u_axial = 0.0_wp, u_lateral = 0.0_wp, through = 0.0_wp
+    !> The previous flight. `next_event` `counted_in_gate` or `to_periodic_line`: the particle's
+    !> entry into the channel before the urn. `partial_visit`: an impact in the urn.
+    type(flight_type) :: flight = idle_flight
     !> Time at which a gate reversed the particle in the channel, or `never`.
     real(wp) :: reversal_time = never
     !> Wall hits in the channel and in the urn; for an impact in the urn: wall hits since then.
     real(wp) :: hits = 0.0_wp
     integer(int32) :: particle = 0
-    integer(int16) :: next_event = 0
   end type visit_start_type
 
   !> The starts, and the index from particles to starts.
@@ -105,7 +102,7 @@ contains
       if (visits%place(particle) == 0) return
       ! The start of an earlier visit is before the end of that one.
       associate (visit_start => visits%visit_start(visits%place(particle)))
-        yes = visit_start%time + passage_before(visit_start) > flight%time - flight%length &
+        yes = visit_start%flight%time + passage_before(visit_start) > flight%time - flight%length &
           - same_time*visits%least - 4.0_wp*epsilon(1.0_wp)*abs(flight%time)
       end associate
     case default
@@ -118,9 +115,11 @@ contains
     type(visit_start_type), intent(in) :: visit_start
     real(wp) :: passage
 
-    passage = merge(2.0_wp*(visit_start%reversal_time - visit_start%time), visit_start%through, &
-      visit_start%reversal_time < never)
-    if (visit_start%next_event == partial_visit) passage = 0.0_wp
+    associate (flight => visit_start%flight)
+      passage = merge(2.0_wp*(visit_start%reversal_time - flight%time), flight%through, &
+        visit_start%reversal_time < never)
+      if (flight%next_event == partial_visit) passage = 0.0_wp
+    end associate
   end function passage_before
 
   !> Stores the starts of the visits of a batch that are long, or cannot be traced back, before
@@ -170,18 +169,8 @@ contains
       at = visits%count + 1
       visits%count = at
       visits%place(particle) = int(at, int32)
-      visits%visit_start(at)%particle = int(particle, int32)
     end if
-    associate (visit_start => visits%visit_start(at))
-      visit_start%time = flight%time
-      visit_start%y = flight%y
-      visit_start%u_axial = flight%u_axial
-      visit_start%u_lateral = flight%u_lateral
-      visit_start%through = flight%through
-      visit_start%reversal_time = reversal_time
-      visit_start%hits = hits
-      visit_start%next_event = flight%next_event
-    end associate
+    visits%visit_start(at) = visit_start_type(flight, reversal_time, hits, int(particle, int32))
   end subroutine store_visit_start
 
   !> Drops invalid starts; enlarges the store if it is still half full.
@@ -256,27 +245,28 @@ contains
     real(wp) :: passage, reflected, passed, begins, x, y, ux, uy
     integer :: from
 
-    associate (visit_start => visits%visit_start(visits%place(particle)))
-      if (visit_start%next_event == partial_visit) then
-        call locate_in_passage(urn, no_channel, visit_start%y, visit_start%u_axial, &
-          visit_start%u_lateral, now - visit_start%time, position, velocity, hits)
+    associate (visit_start => visits%visit_start(visits%place(particle)), &
+      flight => visits%visit_start(visits%place(particle))%flight)
+      if (flight%next_event == partial_visit) then
+        call locate_in_passage(urn, no_channel, flight%y, flight%u_axial, flight%u_lateral, now &
+          - flight%time, position, velocity, hits)
       else
-        from = merge(channel2, channel1, visit_start%next_event == to_periodic_line)
+        from = merge(channel2, channel1, flight%next_event == to_periodic_line)
         passage = passage_before(visit_start)
-        begins = visit_start%time + passage
+        begins = flight%time + passage
         x = facing(from)*urn%chord(from)
-        call fold_into_channel(visit_start%y + visit_start%u_lateral*passage, urn%width(from), y, &
+        call fold_into_channel(flight%y + flight%u_lateral*passage, urn%width(from), y, &
           reflected, passed)
-        ux = -facing(from)*visit_start%u_axial
-        uy = reflected*visit_start%u_lateral
+        ux = -facing(from)*flight%u_axial
+        uy = reflected*flight%u_lateral
         if (now < begins) then
-          call fold_into_channel(visit_start%y + visit_start%u_lateral*(now - visit_start%time), &
+          call fold_into_channel(flight%y + flight%u_lateral*(now - flight%time), &
             urn%width(from), y, reflected, passed)
           ! However slow the particle is, it stays in this urn's half of the channel.
-          x = facing(from)*(urn%chord(from) + min(visit_start%u_axial*(begins - now), &
+          x = facing(from)*(urn%chord(from) + min(flight%u_axial*(begins - now), &
             0.5_wp*urn%length(from)))
           position = [x, y]
-          velocity = [ux, reflected*visit_start%u_lateral]
+          velocity = [ux, reflected*flight%u_lateral]
           hits = 0
         else
           call locate_after(urn, x, y, ux, uy, now - begins, position, velocity, hits)
@@ -295,7 +285,7 @@ contains
     real(wp), intent(in) :: epoch
 
     associate (visit_start => visits%visit_start(:visits%count))
-      visit_start%time = visit_start%time - epoch
+      visit_start%flight%time = visit_start%flight%time - epoch
       visit_start%reversal_time = visit_start%reversal_time - epoch
     end associate
   end subroutine rebase_long_visits
@@ -306,25 +296,26 @@ contains
     type(long_visits_type), intent(inout) :: visits
     type(flight_type), intent(in) :: flight(:)
     type(archive_type), intent(inout) :: archive
-    integer(int32), allocatable :: particle(:)
     integer :: at
 
     if (.not. archive%reading) call drop_finished_starts(visits, flight)
-    particle = visits%visit_start(:visits%count)%particle
-    call archive%serialize_list('long_visits', particle)
+    call archive%serialize_size('long_visits', visits%count)
     if (archive%failed()) return
     if (archive%reading) then
-      visits%count = size(particle)
-      visits%capacity = size(particle)
-      visits%visit_start = [(visit_start_type(particle=particle(at)), at=1, size(particle))]
+      visits%capacity = visits%count
+      visits%visit_start = [(visit_start_type(), at=1, visits%count)]
       allocate (visits%place(visits%number), source=0_int32)
-      visits%place(particle) = [(int(at, int32), at=1, size(particle))]
     end if
     associate (visit_start => visits%visit_start(:visits%count))
-      call archive%serialize('long_heading', visit_start%next_event)
-      call archive%serialize('long_time', visit_start%time, 'long_y', visit_start%y, 'long_along', &
-        visit_start%u_axial, 'long_across', visit_start%u_lateral, 'long_through', &
-        visit_start%through)
+      call archive%serialize('long_visits', visit_start%particle)
+      if (archive%failed()) return
+      if (archive%reading) visits%place(visit_start%particle) = [(int(at, int32), at=1, &
+        visits%count)]
+      associate (from => visit_start%flight)
+        call archive%serialize('long_heading', from%next_event)
+        call archive%serialize('long_time', from%time, 'long_y', from%y, 'long_along', &
+          from%u_axial, 'long_across', from%u_lateral, 'long_through', from%through)
+      end associate
       call archive%serialize('long_turned', visit_start%reversal_time, 'long_hits', &
         visit_start%hits)
     end associate

@@ -22,8 +22,7 @@
 module battery_reservoir
   use battery_kinds, only: wp, int32, int64, pi
   use battery_powers, only: power_above
-  use battery_table, only: table_type, channel1, channel2, are_mirror_images, mean_urn_passage, &
-    has_scatterers
+  use battery_table, only: table_type, channel1, channel2, are_mirror_images, mean_urn_passage
   use battery_stay, only: stay_type, draws_type, block_length, draw_ticks, draw_exits, &
     make_initial_stay, remaining_channel_hits, locate_stay, locate_trapped_stay, sum_outside_urns, &
     serialize_stays, serialize_draws, is_trapped, from_gate, from_channel2, counted_in_gate, &
@@ -93,7 +92,7 @@ contains
     character(len=:), allocatable :: reason
 
     reason = unmet_requirement(table)
-    if (has_scatterers(table) .and. self%number >= 0) reason = 'it does not support scatterers'
+    if (table%has_scatterers .and. self%number >= 0) reason = 'it does not support scatterers'
   end function reason_unsupported
 
   !> Sets mean times, rates and the longest window from the table and the number of particles.

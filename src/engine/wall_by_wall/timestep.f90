@@ -22,7 +22,7 @@ module battery_timestep
   use battery_kinds, only: wp, int8, int64
   use battery_text, only: to_text
   use battery_table, only: table_type, urn_type, channel1, channel2, in_urn, in_gate, in_channel2, &
-    x_direction, are_mirror_images, has_scatterers
+    x_direction, are_mirror_images
   use battery_channel, only: fold_into_channel, facing, is_open
   use battery_motion, only: motion_type
   use battery_urn, only: contains_point, reflect_overshoot
@@ -67,7 +67,7 @@ contains
     real(wp) :: longest
 
     reason = unmet_requirement(table)
-    if (has_scatterers(table)) reason = 'it does not support scatterers'
+    if (table%has_scatterers) reason = 'it does not support scatterers'
     if (reason /= '') return
     longest = min(minval(table%urn%longest_step), minval(0.5_wp*table%channel%length, &
       mask=is_open(table%channel)))

@@ -5,7 +5,7 @@ module battery_probe_polygon
   use battery_kinds, only: wp
   use battery_channel, only: channel_type, channel1, channel2, facing
   use battery_corners, only: distance_to_side
-  use battery_polygon, only: polygon_type, find_next_side_robustly, reflect_from_side
+  use battery_polygon, only: urn_shape_type, find_next_side_robustly, reflect_from_side
   use battery_table, only: table_type, new_table, shape_circuit, urn_type
   use battery_urn, only: shape_polygon
   use battery_probe, only: rounded_to_bits, stop_with_message
@@ -42,8 +42,8 @@ contains
 
   !> Least distance of the path of a passage from a corner or from the end of an opening, divided by
   !> the condition number of the position there.
-  function least_corner_distance(polygon, x, y, ux, uy, most_hits) result(distance)
-    type(polygon_type), intent(in) :: polygon
+  function least_corner_distance(urn, x, y, ux, uy, most_hits) result(distance)
+    type(urn_shape_type), intent(in) :: urn
     !> Start of the passage, in the frame of the polygon.
     real(wp), intent(in) :: x, y, ux, uy
     !> The path is followed for at most this number of wall hits, and over the flight after them.
@@ -58,35 +58,36 @@ contains
     length = 0.0_wp
     distance = huge(1.0_wp)
     do hits = 0, most_hits
-      call find_next_side_robustly(polygon, (side), position(1), position(2), velocity(1), &
+      call find_next_side_robustly(urn%polygon, (side), position(1), position(2), velocity(1), &
         velocity(2), side, wait)
       if (side == 0) return
       next = position + wait*velocity
       length = length + wait
-      distance = min(distance, distance_to_corners(polygon, position, next)/((length &
-        + polygon%reach)*(1.0_wp + 2.0_wp*hits)))
-      if (abs(next(2)) < polygon%half_opening(side)) return
+      distance = min(distance, distance_to_corners(urn, position, next)/((length &
+        + urn%reach)*(1.0_wp + 2.0_wp*hits)))
+      if (abs(next(2)) < urn%polygon%half_opening(side)) return
       position = next
-      call reflect_from_side(polygon, side, position(1), position(2), velocity(1), velocity(2))
+      call reflect_from_side(urn%polygon, side, position(1), position(2), velocity(1), velocity(2))
     end do
   end function least_corner_distance
 
   !> Distance from a straight path to the nearest corner or end of an opening.
-  pure function distance_to_corners(polygon, path_start, path_end) result(distance)
-    type(polygon_type), intent(in) :: polygon
+  pure function distance_to_corners(urn, path_start, path_end) result(distance)
+    type(urn_shape_type), intent(in) :: urn
     !> Ends of the path, (x, y).
     real(wp), intent(in) :: path_start(2), path_end(2)
     real(wp) :: distance
     integer :: k, sign_y
 
     distance = huge(1.0_wp)
-    do k = 1, polygon%sides
-      distance = min(distance, distance_to_side(polygon%x(k), polygon%y(k), path_start, path_end))
+    do k = 1, urn%polygon%sides
+      distance = min(distance, distance_to_side(urn%polygon%x(k), urn%polygon%y(k), path_start, &
+        path_end))
     end do
     do k = 1, 2
       do sign_y = -1, 1, 2
-        distance = min(distance, distance_to_side(facing(k)*polygon%chord(k), &
-          sign_y*polygon%half_width(k), path_start, path_end))
+        distance = min(distance, distance_to_side(facing(k)*urn%chord(k), &
+          sign_y*urn%half_width(k), path_start, path_end))
       end do
     end do
   end function distance_to_corners

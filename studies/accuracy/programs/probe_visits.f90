@@ -87,7 +87,8 @@ contains
       call draw_entrance(table, first + j, bits, channel, x, y, ux, uy)
       corner = 0.0_wp
       if (table%urn(1)%shape == shape_polygon .and. storage_size(1.0_wp) == 128) &
-        corner = least_corner_distance(table%urn(1)%polygon, x, y, ux, uy, nint(visits%hits(j)))
+        corner = least_corner_distance(table%urn(1)%urn_shape_type, x, y, ux, uy, &
+          nint(visits%hits(j)))
       found(:, j) = real([opening_sign(visits%channel(j)), visits%y(j), visits%u_axial(j), &
         visits%u_lateral(j), visits%length(j), visits%hits(j), opening_sign(channel), uy, corner], &
         dp)
