@@ -362,18 +362,10 @@ def growth(circuit: Circuit) -> float:
 
 
 def homogeneous_kind(circuit: Circuit) -> str:
-    """Return whether the state with equal densities is "stable" or "unstable".
-
-    For unequal urns or gates: of the state that is nearest to it.
-    """
+    """Return whether the state with equal numbers is "stable" or "unstable"."""
     if circuit.closed:
         return "neutral"
-    if circuit.alike:
-        return "stable" if growth(circuit) <= 0.0 else "unstable"
-    areas = [float(side.urn_area) for side in circuit.sides]
-    second = float(circuit.number) * areas[1] / sum(areas)
-    states = stationary_states(circuit)
-    return min(states, key=lambda one: abs(one.urn2_number - second)).kind if states else "neutral"
+    return "stable" if growth(circuit) <= 0.0 else "unstable"
 
 
 @lru_cache(maxsize=8)

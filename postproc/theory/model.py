@@ -165,8 +165,10 @@ class Model:
         return [State(**one) for one in found]
 
     def homogeneous_kind(self, circuit: Circuit) -> str:
-        """Return the kind of the state with equal densities."""
+        """Return the kind of the state with equal numbers; "" for unequal urns or gates."""
         own, theory = self.of(circuit), self.theory_of(circuit)
+        if not own.alike:
+            return ""
         return str(self._cached("kind", circuit, lambda: theory.homogeneous_kind(own)))
 
     def _cached(

@@ -14,7 +14,7 @@ from postproc.theory import direction, ports, settling
 from postproc.theory.gates import WINDOW
 from postproc.theory.model import Model
 from postproc.theory.renewal import RENEWAL
-from postproc.theory.states import Theory, kind_next_to_equal
+from postproc.theory.states import Theory
 
 if TYPE_CHECKING:
     from postproc.theory.circuit import Circuit
@@ -33,7 +33,7 @@ def _of_ports(circuit: Circuit) -> dict[str, object]:
     return {name: [getattr(one, field) for one in found] for name, field in names.items()}
 
 
-_MIXED_UNLIKE = Theory(homogeneous_kind=kind_next_to_equal, transition_width=_no_line)
+_MIXED_UNLIKE = Theory(transition_width=_no_line)
 _DIRECTIONS = Theory(
     direction.stationary_states, direction.homogeneous_kind, _no_line, direction.outflows,
     settling.passages, direction.flows, direction.growth,
@@ -100,7 +100,7 @@ def describe(circuit: Circuit, model: Model) -> dict[str, object]:
     own, theory = model.of(circuit), model.theory_of(circuit)
     return finite(
         {
-            "homogeneous": model.homogeneous_kind(circuit),
+            "homogeneous": model.homogeneous_kind(circuit) or None,
             "roots": [
                 {name: value for name, value in vars(state).items() if value is not None}
                 for state in model.states(circuit)

@@ -97,21 +97,6 @@ def stationary_states(circuit: Circuit) -> list[State]:
     return [_state(circuit, 2.0 * half, first, kind) for first, kind in roots]
 
 
-def kind_next_to_equal(circuit: Circuit) -> str:
-    """Return the kind of the state of unequal urns or gates with the most nearly equal densities.
-
-    "neutral": there is no flow.
-    """
-    number = float(circuit.number)
-    area1, area2 = (float(side.urn_area) for side in circuit.sides)
-
-    def apart(state: State) -> float:
-        one, two = (number - state.urn2_number) / area1, state.urn2_number / area2
-        return abs(one - two) / (one + two)
-
-    return min(found, key=apart).kind if (found := stationary_states(circuit)) else "neutral"
-
-
 def places_of(circuit: Circuit, half: float) -> NDArray[np.float64]:
     """Return N1 at which g is evaluated, from just below N/2 down to 0."""
     threshold = float(circuit.threshold)
