@@ -276,6 +276,9 @@ $(COMMANDS): build/stamps/python
 	echo '$(CURDIR)' > "$$packages/battery.pth"
 	printf '#!%s\nfrom postproc.__main__ import run\n\nraise SystemExit(run())\n' '$(CURDIR)/$(PYTHON)' > $@
 	chmod +x $@
+	# Beside the program, which names it in what it prints.
+	mkdir -p $(BUILT)/bin
+	ln -sf $(CURDIR)/$@ $(BUILT)/bin
 
 # The git commit for src/interop/commit.c. fpm does not watch files that may not be there, so the object
 # that has it is removed when it changes; objects for another processor or compiler go as well.

@@ -269,7 +269,8 @@ class Circuit:
             diameter = min(2.0 * radius if outline is None else widest(outline)
                            for radius in _both(self.urn_radius)
                            for outline in self._outlines())  # fmt: skip
-            below = f"below 2r = {diameter:g}" if corners is None else f"below {diameter:g}"
+            discs = corners is None and sides is None
+            below = f"below 2r = {diameter:g}" if discs else f"below {diameter:g}, a vertical side"
             least = FINEST * max(diameter, self.channel1_length)
             for key, value, zero in (
                 ("channel1_width", self.channel1_width, ""),

@@ -28,6 +28,11 @@ if TYPE_CHECKING:
 __all__ = ["characteristic", "curves", "flows", "lifetimes", "phase_diagram", "relaxation", "scene"]
 
 
+def __dir__() -> list[str]:
+    """Return the public names."""
+    return __all__
+
+
 def phase_diagram(
     data: xr.Dataset, ax: Axes | None = None, *, variable: str = "chi",
     theory: str | Sequence[str] = (), **look: object,
@@ -101,7 +106,8 @@ def relaxation(
 ) -> list[Line2D]:  # fmt: skip
     """Draw a variable against time: mean over replicas, and a band of their standard deviation.
 
-    Long series are averaged over short times. chi begins at the start; the current is the mean over
+    Long series are averaged over short times, and replicas of several lengths are shown up to the
+    end of the shortest. chi begins at the start; the current is the mean over
     intervals of the series, drawn at their middles.
 
     Parameters

@@ -198,7 +198,7 @@ def test_what_outgrows_the_memory_makes_its_task_fail(tmp_path: Path, what: str)
     write(tmp_path, **changes)
     ended = run("case.nml", folder=tmp_path, prepare=room_for(megabytes))
     assert ended.returncode == 1, (ended.stdout, ended.stderr[:2000])
-    assert "task 1 failed: no memory for the series and the event log" in ended.stdout
+    assert "replica 0 failed: no memory for the series and the event log" in ended.stdout
 
 
 def printing(folder: Path, *arguments: str, **streams: Any) -> subprocess.CompletedProcess[str]:

@@ -57,6 +57,11 @@ def test_beside_a_run_and_after_its_death_and_then_it_grows(tmp_path: Path, whol
     journal = tmp_path / "out.h5.tasks"
     assert wait_for(lambda: any(one.stat().st_size for one in journal.glob("rank_*")), process)
     send(numbers, signal.SIGSTOP)
+    shutil.copy(whole, tmp_path / PARTIAL)  # as of a run before --overwrite
+    ended = run("--partial", "case.nml", folder=tmp_path)
+    assert (ended.returncode, "is complete, and is not replaced" in ended.stderr) == (2, True)
+    assert_same(tmp_path / PARTIAL, whole)
+    (tmp_path / PARTIAL).unlink()
     assert run("--partial", "case.nml", folder=tmp_path).returncode == 0
     beside = check_true(tmp_path / PARTIAL, whole)
     assert 0 < beside < TASKS
@@ -90,7 +95,8 @@ def test_two_at_once_while_a_run_overwrites_and_ends(tmp_path: Path, whole: Path
                 kept.write_bytes((tmp_path / PARTIAL).read_bytes())
                 counts.append(check_true(kept, whole))
             else:
-                assert (ended.returncode, "no task" in ended.stderr) == (2, True), ended.stderr
+                assert ended.returncode == 2, ended.stderr
+                assert "no task" in ended.stderr or "is complete" in ended.stderr, ended.stderr
         return counts
 
     with ThreadPoolExecutor() as pool:

@@ -22,7 +22,15 @@ from postproc.figures.maps import STARTS, SYMBOLS, THRESHOLDS, WIDTH, equals, va
 from postproc.figures.theories import default
 from postproc.progress import each
 from postproc.reading.groups import series_of
-from postproc.reading.points import alike, groups, keys_of, means, need_only, with_tasks
+from postproc.reading.points import (
+    alike,
+    groups,
+    keys_of,
+    means,
+    need_only,
+    seconds_of,
+    with_tasks,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -64,7 +72,7 @@ def few_points(points: xr.Dataset) -> xr.Dataset:
 def title(points: xr.Dataset, at: int) -> str:
     """Return what distinguishes a point: the keys of the scan, or N, T, w and w'."""
     names = [name for name in keys_of(points) if name not in STARTS]
-    names += ["start"] if np.unique(points["start"]).size > 1 else []
+    names += [*seconds_of(points), *["start"] * (np.unique(points["start"]).size > 1)]
     names = names or ["number", "threshold", "channel1_width", "channel2_width"]
     return ", ".join(equals(name, float(points[name][at])) for name in names)
 
@@ -133,13 +141,13 @@ def starts_of(points: xr.Dataset) -> list[float]:
     return (points["number"] - points["urn1_number"]).values.astype(float).tolist()
 
 
-def _spread(series: xr.Dataset, number: float, start: float) -> tuple[Floats, Floats]:
+def mass_spread(series: xr.Dataset, number: float, start: float) -> tuple[Floats, Floats]:
     """Return the start and the ends of intervals, and chi at these times."""
     first = np.append(start, series["urn1_number"])
     return np.append(0.0, series["time"]), np.abs(number - 2.0 * first) / number
 
 
-def _polarised_current(series: xr.Dataset, number: float, start: float) -> tuple[Floats, Floats]:
+def through2(series: xr.Dataset, number: float, start: float) -> tuple[Floats, Floats]:
     """Return the middles of intervals, and the current of channel 2 from the urn fuller then.
 
     At the end those that crossed are missing from the urn that they left, which is less often the
@@ -153,8 +161,8 @@ def _polarised_current(series: xr.Dataset, number: float, start: float) -> tuple
 # What is drawn against time: its label, how it is found, steps along the axis, theory's field, and
 # the values that it can have.
 QUANTITIES = {
-    "chi": (r"mass spread $\chi$", _spread, STEPS, "mass_spread", (0.0, 1.0)),
-    "polarised_current": ("polarised current\n(per unit time)", _polarised_current, STEPS // 8,
+    "chi": (r"mass spread $\chi$", mass_spread, STEPS, "mass_spread", (0.0, 1.0)),
+    "polarised_current": ("polarised current\n(per unit time)", through2, STEPS // 8,
                           "net_current", (-np.inf, np.inf)),
 }  # fmt: skip
 MARGIN = 0.03  # of the axis of chi, for lines at its ends
@@ -167,10 +175,10 @@ def draw_relaxation(
 
     Replicas in two states have no mean: each is a line, of which the first is returned.
     """
-    if quantity not in QUANTITIES:
-        raise InputError(
-            f"against time there is no {quantity!r}; there are {', '.join(QUANTITIES)}"
-        )
+    known = () if points.attrs.get("shape") == "urn" else QUANTITIES
+    if quantity not in known:
+        told = ", ".join(known) or "none of the single urn"
+        raise InputError(f"against time there is no {quantity!r}; there are {told}")
     label, quantity_of, steps, field, possible = QUANTITIES[quantity]
     lines = []
     circuits, starts = points["circuit"].values, starts_of(points)
@@ -320,7 +328,8 @@ def figure_curves(points: xr.Dataset, models: Sequence[Model] = ()) -> Figure:
     draw_curves(left, points, models)
     draw_curves(right, points, models, against="chi")
     right.set(xlim=(-MARGIN, 1.0 + MARGIN), ylabel="")
-    left.set_ylim(bottom=min(0.0, left.get_ylim()[0]))
+    low, high = min(0.0, left.get_ylim()[0]), left.get_ylim()[1]
+    left.set_ylim(low, high + MARGIN * (high - low))
     style.legend_above(made, *left.get_legend_handles_labels(), 4, fontsize=7.5)
     return made
 
@@ -336,7 +345,8 @@ def draw_characteristic(axes: Axes, points: xr.Dataset, models: Sequence[Model])
     need_only(points, across)
     values_of(points, "polarised_current")
     points = points.sortby(across)
-    current, error = means(points, "polarised_current")
+    closed = (points[WIDTH] == 0.0).values  # nothing flows: the open circuit
+    current, error = (np.where(closed, 0.0, one) for one in means(points, "polarised_current"))
     voltage, deviation = voltage_of(*means(points, "chi"))
     shown = axes.errorbar(current, voltage, deviation, error, fmt="o", color=style.BLUE,
                           mfc="none", ms=3.8, lw=0.7, label="$U$, measured")  # fmt: skip

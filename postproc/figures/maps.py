@@ -35,7 +35,7 @@ WIDTH = "channel2_width"
 SYMBOLS = {
     "number": "$N$", "threshold": "$T$", "threshold_fraction": "$T/N$", "channel1_width": "$w$",
     "channel1_length": r"$\ell$", "channel2_width": "$w'$", "channel2_length": r"$\ell'$",
-    "urn_radius": "$r$", "start": r"$\chi(0)$",
+    "urn_radius": "$r$", "threshold2": "$T_2$", "urn_radius2": "$r_2$", "start": r"$\chi(0)$",
 }  # fmt: skip
 LOOKS = {
     "chi": (r"mass spread $\chi$", {"vmin": 0.0, "vmax": 1.0, "cmap": "viridis"}),
@@ -179,8 +179,8 @@ def values_of(points: xr.Dataset, name: str) -> tuple[Floats, str, dict[str, obj
     values = means(points, name)[0]
     if not np.isfinite(values).any():
         raise cli.InputError(
-            f"{files_of(points)}: no point has a mean of {name!r}, without channel 2 or in two "
-            "states; plot.curves(data, variable='chi') shows chi"
+            f"{files_of(points)}: no point has a mean of {name!r}; there is none of the current "
+            "without channel 2, of chi in the single urn, and of replicas in two states"
         )
     return values, label, dict(look)
 

@@ -30,8 +30,10 @@ def asked(points: xr.Dataset, names: str | Sequence[str]) -> tuple[Model, ...]:
     circuits = points["circuit"].values if names else []
     for at, circuit in enumerate(circuits):
         if circuit.beyond_theory:
-            what = circuit.unlike or "discs in channel 2"
-            raise InputError(f"{files_of(points)}: no theory is drawn beside {what}, at point {at}")
+            what = circuit.unlike or "there are discs in channel 2"
+            raise InputError(
+                f"{files_of(points)}: no theory is drawn where {what}, as at point {at}"
+            )
     return named(names, circuits)
 
 

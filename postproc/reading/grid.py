@@ -276,7 +276,8 @@ def _need_one_table(given: Sequence[xr.Dataset]) -> None:
     """Raise `InputError` if tables differ in more than the parameters of points."""
     for name in TABLE:
         if len(found := {str(one.attrs.get(name, "")) for one in given}) > 1:
-            raise InputError(f"merge: {name} differs: {', '.join(sorted(found))}")
+            told = ", ".join(one or "none" for one in sorted(found))
+            raise InputError(f"merge: {name} differs: {told}")
 
 
 def _tasks(given: Sequence[xr.Dataset]) -> tuple[pd.DataFrame, list[str]]:

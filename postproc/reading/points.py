@@ -105,8 +105,8 @@ def by_point(data: xr.Dataset) -> xr.Dataset:
 
     Coordinates along `point` are the keys of the scan, in its order. Every parameter has a value at
     each point. Added are `start`, chi at the beginning (`_starts`); `circuit`, whose urns and gates
-    may be unequal; `two_states`, whether replicas are in two, so that they have no mean; and of
-    each task `asked`, whether it was requested, and `complete`.
+    may be unequal; `two_states`, whether replicas are in two, so that they have no mean (one that
+    was chosen is in one); and of each task `asked`, whether it was requested, and `complete`.
     """
     points = flat(data, "task_status")
     known = [name for name in PARAMETERS if name in points]
@@ -119,7 +119,8 @@ def by_point(data: xr.Dataset) -> xr.Dataset:
     points = points.assign_coords({name: columns[name] for name in keys})
     points["start"] = "point", _starts(points)
     points["complete"], points["asked"] = status == COMPLETE, status != NOT_ASKED
-    points["two_states"] = points.get("point_status", xr.zeros_like(points["start"])) == TWO_STATES
+    found = points.get("point_status", xr.zeros_like(points["start"])) == TWO_STATES
+    points["two_states"] = found & (points.sizes["replica"] > 1)
     points = points.transpose("point", "replica", ...)
     points["circuit"] = "point", np.empty(size, object)
     points["circuit"].values[:] = _circuits(points)
@@ -130,6 +131,14 @@ def keys_of(points: xr.Dataset) -> dict[str, NDArray[np.generic]]:
     """Return the keys of the scan that have more than one value, with that at each point."""
     return {str(name): one.values for name, one in points.coords.items()
             if one.dims == ("point",) and np.unique(one).size > 1}  # fmt: skip
+
+
+def seconds_of(points: xr.Dataset) -> dict[str, NDArray[np.generic]]:
+    """Return the values of gate 2 and urn 2 where they differ from those of 1, unless scanned."""
+    pairs = ((f"{name}2", name) for name in ("threshold", "urn_radius"))
+    return {second: points[second].values for second, first in pairs
+            if second in points and second not in points.coords
+            and not np.array_equal(points[second], points[first])}  # fmt: skip
 
 
 def groups(points: xr.Dataset, *keys: str) -> Iterator[tuple[dict[str, float], xr.Dataset]]:

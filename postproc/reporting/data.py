@@ -13,6 +13,7 @@ import f90nml
 import numpy as np
 
 from postproc.cli import InputError
+from postproc.figures.circuits import mass_spread, through2
 from postproc.figures.maps import (
     THRESHOLDS,
     axes_of,
@@ -22,7 +23,7 @@ from postproc.figures.maps import (
     transition_lines,
 )
 from postproc.reading.groups import each_series
-from postproc.reading.points import current_name, groups, keys_of
+from postproc.reading.points import current_name, groups, keys_of, seconds_of
 from postproc.reading.table import table
 
 if TYPE_CHECKING:
@@ -69,11 +70,7 @@ def scanned(points: xr.Dataset) -> Scan:
     """Return the scan; T is the horizontal axis of maps and w' the vertical one, if scanned."""
     keys = keys_of(points)
     across, up = axes_of(list(keys))
-    pairs = ((f"{name}2", name) for name in ("threshold", "urn_radius"))
-    seconds = {second: points[second].values for second, first in pairs
-               if second in points and second not in keys
-               and not np.array_equal(points[second], points[first])}  # fmt: skip
-    return Scan(keys, across or next(iter(keys), ""), up, seconds)  # starts alone
+    return Scan(keys, across or next(iter(keys), ""), up, seconds_of(points))  # starts alone
 
 
 def label(name: str) -> str:
@@ -96,7 +93,12 @@ def points_of(points: xr.Dataset, scan: Scan, models: dict[str, Model]) -> Colum
         columns[f"{name}_error"] = rounded(found[f"{source}_error"], 2)
         columns |= {f"{model}_{name}": rounded(found[f"{model}_{source}"]) for model in models
                     if f"{model}_{source}" in found}  # fmt: skip
-    columns["told"] = np.array([_summary(scan, columns, at) for at in range(len(points["point"]))])
+    columns["told"] = np.array(
+        [
+            _summary(scan, columns, at, apart=apart)
+            for at, apart in enumerate(points["two_states"].values)
+        ]
+    )
     done, asked = (points[name].sum("replica").values for name in ("complete", "asked"))
     columns["tasks"] = np.array([f"{n} of {m}" for n, m in zip(done, asked, strict=True)])
     for low, high, key in (("left", "right", scan.across), ("bottom", "top", scan.up)):
@@ -112,8 +114,8 @@ def points_of(points: xr.Dataset, scan: Scan, models: dict[str, Model]) -> Colum
     return columns
 
 
-def _summary(scan: Scan, columns: Columns, at: int) -> str:
-    """Return the line about a point: its keys and measured values."""
+def _summary(scan: Scan, columns: Columns, at: int, *, apart: bool) -> str:
+    """Return the line about a point: its keys and measured values, or that replicas are apart."""
     place = [f"{SYMBOLS.get(name, name)} = {columns[name][at]:.5g}"
              for name in scan.keys | scan.seconds]  # fmt: skip
     found = [
@@ -123,9 +125,8 @@ def _summary(scan: Scan, columns: Columns, at: int) -> str:
         for name in MEASURED
         if math.isfinite(columns[name][at])
     ]
-    return ": ".join(
-        part for part in (", ".join(place), ", ".join(found) or "no results yet") if part
-    )
+    none = "replicas in two states, which have no mean" if apart else "no results yet"
+    return ": ".join(part for part in (", ".join(place), ", ".join(found) or none) if part)
 
 
 def map_lines(points: xr.Dataset, scan: Scan, models: dict[str, Model]) -> Columns:
@@ -167,20 +168,6 @@ def _between(points: xr.Dataset, scan: Scan, model: Model) -> list[tuple[Floats,
     return [(line[:, 0], line[:, 1]) for line in made.lines(0.5)]
 
 
-def curves(columns: Columns, scan: Scan, models: dict[str, Model], name: str) -> list[dict]:
-    """Return theory beside a scan of one key: x, y and dashes of each model."""
-    order = np.argsort(columns[scan.across])
-    return [
-        {
-            "x": columns[scan.across][order],
-            "y": columns[f"{key}_{name}"][order],
-            "line_dash": dash(model),
-        }
-        for key, model in models.items()
-        if f"{key}_{name}" in columns
-    ]
-
-
 def replicas_of(points: xr.Dataset) -> Columns:
     """Return the columns of the tasks, replica by replica of each point, as texts.
 
@@ -209,10 +196,10 @@ def _with_error(value: float, error: float) -> str:
 
 
 def thinned_series(points: xr.Dataset) -> tuple[Floats, Columns]:
-    """Return times, and (N1 - N2)/N and net current of all tasks one after the other, thinned.
+    """Return times, and chi and polarised current of all tasks one after the other, thinned.
 
-    Nothing if the run has no series, or is shorter than their interval. If there are too many, only
-    those of the first tasks.
+    Of the single urn its net current. Nothing if the run has no series, or is shorter than their
+    interval. If there are too many, only those of the first tasks.
     """
     shape = points["complete"].shape
     samples = int(np.clip(ROOM // max(points["complete"].size, 1), *SAMPLES))
@@ -224,14 +211,17 @@ def thinned_series(points: xr.Dataset) -> tuple[Floats, Columns]:
         return np.empty(0), {}
     time = max((one["time"].values for one in found.values()), key=len)
     chosen = np.unique(np.linspace(0, time.size - 1, samples).round().astype(int))
+    number, start = points["number"].values.astype(float), points["urn1_number"].values
     spread = np.full((*shape, chosen.size), np.nan, np.float32)
     current = spread.copy()
     for task, one in found.items():
-        own, flows = one["time"].values, (one["flow1_12"] - one["flow1_21"]).values
+        own, at = one["time"].values, task[0]
+        chi, flows = (known(one, number[at], start[at])[1] for known in (mass_spread, through2))
+        if points.attrs.get("shape") == "urn":
+            flows = (one["flow1_12"] - one["flow1_21"]).values
         past = np.minimum(np.searchsorted(own, time[chosen], side="left"), own.size - 1)
         reached = time[chosen] <= own[-1]
-        chi = 2.0 * one["urn1_number"].values[past] / float(points["number"][task[0]]) - 1.0
-        spread[task] = np.where(reached, chi, np.nan)
+        spread[task] = np.where(reached, chi[1:][past], np.nan)
         current[task] = np.where(reached, _block_means(flows, past), np.nan)
     return rounded(time[chosen]), {"spread": spread.ravel(), "current": current.ravel()}
 

@@ -80,6 +80,7 @@ LEFT_OUT = (
     "current_low",
     "current_high",
 )  # columns of the points that are for the pictures alone
+THEORY_MARKS = ("x", "cross", "y")  # at the points, since nothing is computed between them
 MOST = 6  # replicas that have a colour and a name each; of more the mean is drawn before them
 DOTS = 110  # per inch, in the picture of the table
 HOVERED = """
@@ -104,20 +105,33 @@ if (time.length === 0) return
 const kept = tasks.filter((task) => tasks_with_series[task])
 const cut = (values) => kept.map(
   (task) => Array.from(values.slice(task * time.length, (task + 1) * time.length)))
-const mean = (all) => time.map((_, k) => {
-  const known = all.map((one) => one[k]).filter((one) => !Number.isNaN(one))
-  return known.reduce((sum, one) => sum + one, 0) / known.length
+const average = (values) => values.reduce((sum, one) => sum + one, 0) / values.length
+const known = (all, k) => all.map((one) => one[k]).filter((one) => !Number.isNaN(one))
+const mean = (all) => time.map((_, k) => average(known(all, k)))
+const deviation = (all) => time.map((_, k) => {
+  const [values, middle] = [known(all, k), average(known(all, k))]
+  const squares = values.map((one) => (one - middle) ** 2)
+  return Math.sqrt(average(squares) * values.length / Math.max(values.length - 1, 1))
 })
-const many = kept.length > most
+const grey = kept.length > most
+const many = grey && !apart[at]
 const with_mean = (all) => many ? [...all, mean(all)] : all
 const named = kept.map((task) => `replica ${task % count}`)
+const edges = {time: many ? time : []}
+for (const name of ['spread', 'current']) {
+  const all = cut(series.data[name])
+  const [middle, width] = many ? [mean(all), deviation(all)] : [[], []]
+  edges[`${name}_low`] = middle.map((one, k) => one - width[k])
+  edges[`${name}_high`] = middle.map((one, k) => one + width[k])
+}
+band.data = edges
 shown.data = {
   time: with_mean(cut(series.data.spread)).map(() => time),
   spread: with_mean(cut(series.data.spread)),
   current: with_mean(cut(series.data.current)),
-  colour: [...kept.map((task) => many ? '#9ab' : colours[(task % count) % colours.length]),
+  colour: [...kept.map((task) => grey ? '#9ab' : colours[(task % count) % colours.length]),
     ...(many ? ['#d55e00'] : [])],
-  width: [...kept.map(() => many ? 0.5 : 1.2), ...(many ? [2.5] : [])],
+  width: [...kept.map(() => grey ? 0.5 : 1.2), ...(many ? [2.5] : [])],
   replica: [...named, ...(many ? ['mean'] : [])],
 }
 """
@@ -236,8 +250,10 @@ class Page:
 
     def _curve(self, name: str) -> figure:
         made = self._figure(name, f"{self.measured[name]}, standard errors")
-        for curve in data.curves(self.columns, self.scan, self.models, name):
-            made.line(**curve, line_color="#333333", line_width=1.5)
+        for model, mark in zip(self.models, THEORY_MARKS, strict=False):
+            if f"{model}_{name}" in self.columns:
+                made.scatter(self.scan.across, f"{model}_{name}", source=self.points, size=10,
+                             marker=mark, line_color="#333333", line_width=1.5)  # fmt: skip
         made.add_layout(
             Whisker(base=self.scan.across, lower=f"{name}_low", upper=f"{name}_high",
                     source=self.points)
@@ -290,6 +306,9 @@ class Page:
         shown = ColumnDataSource(
             {key: [] for key in (*SERIES, "time", "colour", "replica", "width")}
         )
+        band = ColumnDataSource(
+            {"time": [], **{f"{key}_{end}": [] for key in SERIES for end in ("low", "high")}}
+        )
         name, namelist = Div(name="name", render_as_text=True), PreText(name="namelist")
         text, values = data.namelist_of_point(self.given)
         there = np.isfinite(columns.get("spread", np.empty(0)).reshape(-1, max(time.size, 1)))
@@ -298,30 +317,35 @@ class Page:
                   "namelist": namelist, "text": text,
                   "values": {key: one.tolist() for key, one in values.items()},
                   "time": time.tolist(), "series": ColumnDataSource(columns), "shown": shown,
+                  "band": band, "apart": self.given["two_states"].values.tolist(),
                   "tasks_with_series": there.any(axis=1).tolist(), "colours": list(CYCLE),
                   "most": MOST},
             code=CLICKED,
         )  # fmt: skip
         self.points.selected.js_on_change("indices", self.click)
         titles = data.OF_URN if self.urn else SERIES
-        self.series = [self._series(shown, one, title, time, columns[one])
+        self.series = [self._series(shown, band, one, title, time, columns[one])
                        for one, title in titles.items() if columns]  # fmt: skip
         known = bool(self.given.attrs.get("namelist"))
         return [name, table, *self.series, *[namelist] * known]
 
     def _series(
-        self, shown: ColumnDataSource, name: str, title: str, time: Floats, values: Floats
-    ) -> figure:
+        self, shown: ColumnDataSource, band: ColumnDataSource, name: str, title: str, time: Floats,
+        values: Floats,
+    ) -> figure:  # fmt: skip
         known = values[np.isfinite(values)]
+        many = self.given.sizes["replica"] > MOST
         made = self._figure(
             f"series_{name}",
-            title,
+            f"{title}, mean and standard deviation of replicas" if many else title,
             x_range=(0.0, time[-1]),
-            y_range=(known.min(initial=-1.0), known.max(initial=1.0)),
+            y_range=(known.min(initial=0.0), known.max(initial=1.0)),
         )
         made.height, made.xaxis.axis_label = 240, "time"
         made.multi_line("time", name, source=shown, line_color="colour", line_width="width",
                         legend_field="replica")  # fmt: skip
+        made.varea("time", f"{name}_low", f"{name}_high", source=band, fill_color="#d55e00",
+                   fill_alpha=0.25)  # fmt: skip
         made.legend.visible = 1 < self.given.sizes["replica"] <= MOST
         made.legend.label_text_font_size = "8pt"
         made.legend.background_fill_alpha = 0.6
@@ -343,7 +367,7 @@ PAPERED = {
     figure: ("background_fill_color", "border_fill_color"), Legend: ("background_fill_color",),
     ColorBar: ("background_fill_color",),
 }  # fmt: skip
-SERIES = {"spread": "(N1 - N2)/N", "current": "net current of channel 1, urn 1 to urn 2"}
+SERIES = {"spread": "mass spread chi", "current": "polarised current"}
 
 
 def _table(
@@ -398,9 +422,11 @@ def _run(points: xr.Dataset) -> dict[str, str]:
 def _lines(parts: Page) -> str:
     if not parts.models or (parts.scan.up and not len(parts.lines.data["xs"])):
         return ""
-    named = ", ".join(f"{one.label} ({data.dash(one)})" for one in parts.models.values())
-    what = "where the homogeneous state turns stable" if parts.scan.up else "theory"
-    return f"Lines, {what}: {named}."
+    looks = map(data.dash, parts.models.values()) if parts.scan.up else THEORY_MARKS
+    named = ", ".join(f"{one.label} ({look})"
+                      for one, look in zip(parts.models.values(), looks, strict=False))  # fmt: skip
+    what = "Lines, where the homogeneous state turns stable" if parts.scan.up else "Marks, theory"
+    return f"{what}: {named}."
 
 
 @style.settings()

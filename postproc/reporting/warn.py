@@ -112,8 +112,8 @@ def explanations(points: xr.Dataset) -> list[str]:
             f"At {two} of {count} points the replicas fall into two "
             "states. A mean of both would be a third, so none is shown."
         )
-    excess = _excess(points)[0]
-    above = excess[excess > EXCESS]
+    excess, error = _excess(points)
+    above = excess[excess > np.maximum(EXCESS, DRIFT * error)]
     if above.size:
         found.append(
             f"At {above.size} of {count} points the net current is more than chi accounts "

@@ -232,6 +232,7 @@ def test_replicas_in_two_states_relax_each_on_its_own(folder: Path, tmp_path: Pa
     data = postproc.open_results(in_two_states(folder, tmp_path)).sel(threshold=4)
     axes = Figure().add_subplot()
     two, one = plot.relaxation(data, ax=axes, variable="chi")
+    plot.curves(data.isel(replica=0), variable="chi", ax=Figure().add_subplot())  # one is in one
     assert "replicas in two states" in two.get_label()
     assert "replicas" not in one.get_label()
     drawn = [line for line in axes.lines if line.get_color() == two.get_color()]
@@ -387,6 +388,14 @@ def test_the_characteristic_has_measured_voltage_and_power(folder: Path) -> None
     expected = np.log((1.0 + chi) / (1.0 - chi))
     assert np.array(voltage.get_data()) == pytest.approx(np.array([current, expected]))
     assert np.array(power.get_data()) == pytest.approx(np.array([current, current * expected]))
+
+
+def test_an_open_circuit_is_where_no_current_flows(tmp_path: Path) -> None:
+    path = results_of(tmp_path / "open.h5", run=SHORT, output=BARE, particles={"number": 20},
+                      scan={"channel2_width": [0.0, 0.1]})  # fmt: skip
+    voltage, power = plot.characteristic(postproc.open_results(path), ax=Figure().add_subplot())
+    assert (voltage.get_xdata()[0], power.get_ydata()[0]) == (0.0, 0.0)
+    assert voltage.get_ydata()[0] > 0.0
 
 
 def test_replicas_that_differ_by_rounding_have_no_scatter() -> None:

@@ -18,8 +18,9 @@ from selenium.webdriver.support.ui import WebDriverWait
 
 from postproc.cli import InputError
 from postproc.figures import film
+from postproc.figures.circuits import through2
 from postproc.reading.groups import Snapshot, series_of
-from postproc.reading.points import means, remark
+from postproc.reading.points import by_point, means, remark
 from postproc.reporting import data, report, warn
 from postproc.tests.commands import call
 from postproc.tests.runs import BARE, edited, leave_out, points_of, results_of
@@ -100,12 +101,17 @@ def test_columns_say_what_the_file_says(run_file: Path) -> None:
     time, series = data.thinned_series(results)
     spread = series["spread"].reshape(6, 2, time.size)
     (own,) = series_of(results, 3, 1)
-    assert spread[3, 1, -1] == pytest.approx(float(own["urn1_number"][-1]) / 500.0 - 1.0)
+    assert spread[3, 1, -1] == pytest.approx(abs(float(own["urn1_number"][-1]) / 500.0 - 1.0))
     assert np.isnan(spread[5, 1]).all()
-    through = float((own["flow1_12"] - own["flow1_21"]).mean())
+    through = through2(own, 1000.0, float(results["urn1_number"][3]))[1].mean()
     assert np.nanmean(series["current"].reshape(6, 2, -1)[3, 1, 1:]) == pytest.approx(
         through, rel=0.1, abs=0.1
     )
+    results["point_status"] = "point", [0, 0, 0, 2, 0, 0]
+    told = data.points_of(by_point(results), scan, {})["told"]
+    assert [told[at].rpartition(": ")[2][:22] == "replicas in two states" for at in (2, 3)] == [
+        False, True
+    ]  # fmt: skip
     assert scan_of(results, 3) == {"threshold": 8, "channel2_width": 0.05, "replicas": 2}
 
 

@@ -1,11 +1,11 @@
-!> Texts: numbers as texts, lists of words, printable characters.
+!> Texts: numbers and durations as texts, lists of words, printable characters.
 module battery_text
   use, intrinsic :: iso_fortran_env, only: int32, int64, real32, real64, real128
-  use battery_kinds, only: wp
+  use battery_kinds, only: wp, dp
   implicit none (type, external)
   private
   public :: string_type, to_text, lower_case, join, numbers_text, lines_of, closest_word, is_one_of
-  public :: new_line_character, printable, count_text
+  public :: new_line_character, printable, count_text, duration_text
 
   character(len=1), parameter :: new_line_character = achar(10)
 
@@ -319,5 +319,28 @@ contains
     text = to_text(number)//' '//noun
     if (number /= 1) text = text//'s'
   end function count_text
+
+  !> A duration in the largest suitable units: `8 s`, `3 min 20 s`, `2 h 05 min`.
+  pure function duration_text(seconds) result(text)
+    !> Time in seconds; a negative one is shown as 0.
+    real(dp), intent(in) :: seconds
+    character(len=:), allocatable :: text
+    character(len=32) :: buffer
+    integer(int64) :: whole
+
+    whole = nint(min(max(seconds, 0.0_dp), 1.0e12_dp), int64)
+    if (seconds < 0.095_dp) then
+      write (buffer, '(f5.3, a)') max(seconds, 0.0_dp), ' s'
+    else if (seconds < 9.95_dp) then
+      write (buffer, '(f3.1, a)') max(seconds, 0.0_dp), ' s'
+    else if (whole < 60) then
+      write (buffer, '(i0, a)') whole, ' s'
+    else if (whole < 3600) then
+      write (buffer, '(i0, a, i0, a)') whole/60, ' min ', mod(whole, 60_int64), ' s'
+    else
+      write (buffer, '(i0, a, i2.2, a)') whole/3600, ' h ', mod(whole, 3600_int64)/60, ' min'
+    end if
+    text = trim(buffer)
+  end function duration_text
 
 end module battery_text

@@ -1,12 +1,12 @@
-!> Numbers, times and rates as a run prints them: in the columns of its tables, and in its lines.
+!> Numbers and rates as a run prints them: in the columns of its tables, and in its lines.
 module battery_columns
   use, intrinsic :: ieee_arithmetic, only: ieee_is_nan
-  use battery_kinds, only: dp, int64
+  use battery_kinds, only: dp
   use battery_terminal, only: print_line
   use battery_text, only: to_text
   implicit none (type, external)
   private
-  public :: print_row, whole_text, number_text, duration_text, rate_text
+  public :: print_row, whole_text, number_text, rate_text
 
 contains
 
@@ -46,29 +46,6 @@ contains
       < 1.0e-3_dp*0.1_dp**digits)) return
     write (text, '(es'//to_text(width)//'.'//to_text(min(width - 7, digits))//')') number
   end function number_text
-
-  !> A duration in the largest suitable units: `8 s`, `3 min 20 s`, `2 h 05 min`.
-  pure function duration_text(seconds) result(text)
-    !> Time in seconds; a negative one is shown as 0.
-    real(dp), intent(in) :: seconds
-    character(len=:), allocatable :: text
-    character(len=32) :: buffer
-    integer(int64) :: whole
-
-    whole = nint(min(max(seconds, 0.0_dp), 1.0e12_dp), int64)
-    if (seconds < 0.095_dp) then
-      write (buffer, '(f5.3, a)') max(seconds, 0.0_dp), ' s'
-    else if (seconds < 9.95_dp) then
-      write (buffer, '(f3.1, a)') max(seconds, 0.0_dp), ' s'
-    else if (whole < 60) then
-      write (buffer, '(i0, a)') whole, ' s'
-    else if (whole < 3600) then
-      write (buffer, '(i0, a, i0, a)') whole/60, ' min ', mod(whole, 60_int64), ' s'
-    else
-      write (buffer, '(i0, a, i2.2, a)') whole/3600, ' h ', mod(whole, 3600_int64)/60, ' min'
-    end if
-    text = trim(buffer)
-  end function duration_text
 
   !> A rate with three digits, such as `2.13e8`.
   pure function rate_text(rate) result(text)

@@ -18,8 +18,9 @@ module battery_ensemble
   use battery_startup, only: find_pending_tasks, find_further_tasks
   use battery_results, only: results_type, all_tasks_complete
   use battery_signals, only: request_stop_after, signal_received
-  use battery_summary, only: print_summary, print_stop
+  use battery_summary, only: print_summary, stopped_text
   use battery_task_loop, only: monitor_type, run_tasks
+  use battery_terminal, only: print_line
   implicit none (type, external)
   private
   public :: run_ensemble, set_time_limit
@@ -127,8 +128,13 @@ contains
       call check_lock(sources%lock, error)
       if (.not. (stops .or. allocated(error))) call merge_results(plan, sources, start_date, &
         results, error)
-      if (stops .and. .not. (quiet .or. allocated(error))) call print_stop(sources%ranks, &
-        'what is finished: battery --partial FILE.nml writes it to '//plan%file//'.partial.h5')
+      if (stops .and. .not. (quiet .or. allocated(error))) then
+        call print_line(stopped_text)
+        ! Something is finished now, or was before.
+        if (read_counter(task_queue, tasks_finished) > 0 .or. task_queue%tasks &
+          < plan%point_count*plan%first_replicas) call print_line('what is finished: battery ' &
+          //'--partial FILE.nml writes it to '//plan%file//'.partial.h5')
+      end if
       if (.not. (stops .or. allocated(error))) call print_summary(plan, results, &
         sources%ranks, busy, wall_seconds() - start_seconds, collisions, all_done, quiet)
       if (.not. allocated(error) .and. exit_code == exit_success) then

@@ -2,7 +2,7 @@
 module battery_plan_report
   use battery_kinds, only: wp, dp, int64
   use battery_clocks, only: cpu_seconds
-  use battery_columns, only: print_row, duration_text, rate_text
+  use battery_columns, only: print_row, rate_text
   use battery_engine, only: particles_type
   use battery_error, only: error_type
   use battery_json_report, only: write_plan_json
@@ -18,7 +18,7 @@ module battery_plan_report
   use battery_table, only: channel1, channel2
   use battery_tasks, only: task_type, task_count, task_of, initial_particles
   use battery_terminal, only: print_line
-  use battery_text, only: string_type, to_text, count_text, numbers_text
+  use battery_text, only: duration_text, string_type, to_text, count_text, numbers_text
   implicit none (type, external)
   private
   public :: print_plan_report
@@ -60,14 +60,14 @@ contains
     if (allocated(error)) return
     if (message /= '') call print_line(message)
     call print_parameters(plan)
-    remarks = remarks_of(plan)
+    call calibrate(plan, progress%pending, estimate%number, seconds, rate, error)
+    if (allocated(error)) return
+    remarks = remarks_of(plan, seconds*ceiling(real(task_count(plan), dp)/ranks))
     do at = 1, size(remarks)
       call print_row('remark:', remarks(at)%text)
     end do
     call print_row('finished:', count_text(progress%finished, 'task')//'; to be done: ' &
       //to_text(size(progress%pending))//further_text(progress))
-    call calibrate(plan, progress%pending, estimate%number, seconds, rate, error)
-    if (allocated(error)) return
     if (rate > 0.0_dp) &
       call print_row('speed:', rate_text(rate)//' collisions/s a rank (calibrated)')
     if (size(progress%pending) > 0) call print_row('time:', trim(merge('at most', 'about  ', &

@@ -15,7 +15,8 @@ module battery_startup
   use battery_namelist_input, only: differing_keys, parse_namelist
   use battery_plan, only: plan_type
   use battery_plan_remarks, only: remarks_of
-  use battery_results, only: results_type, task_complete, point_undecided
+  use battery_results, only: results_type, task_complete, point_undecided, &
+    all_tasks_complete
   use battery_process, only: process_number, host_name
   use battery_results_file, only: results_file_type, open_results, close_results, accept_results
   use battery_tasks, only: task_type, task_count, task_of, order_tasks, task_index_type, &
@@ -98,7 +99,7 @@ contains
       if (complete) then
         call remove_journal(sources%folder, error)
       else
-        remarks = remarks_of(plan)
+        remarks = remarks_of(plan, 0.0_dp)
         do at = 1, merge(0, size(remarks), quiet)
           call print_line('remark: '//remarks(at)%text)
         end do
@@ -350,12 +351,12 @@ contains
     type(results_file_type) :: file
     type(error_type), allocatable :: damage, ignored
     character(len=:), allocatable :: unique
-    logical :: complete
+    logical :: complete, was_complete
 
     message = ''
     partial = plan
     partial%file = plan%file//'.partial.h5'
-    call inspect_results_file(partial, .false., file, complete, damage, error)
+    call inspect_results_file(partial, .false., file, was_complete, damage, error)
     call close_results(file)
     if (.not. allocated(error)) call move_alloc(damage, error)
     if (allocated(error)) then
@@ -372,6 +373,9 @@ contains
     if (.not. allocated(error)) then
       if (all(results%task_status /= task_complete)) call fatal_error(error, plan%file &
         //': no task is finished yet'//damage_text(), exit_bad_input)
+      ! Of a run before `--overwrite`, whose results are nowhere else.
+      if (was_complete .and. .not. all_tasks_complete(results)) call fatal_error(error, &
+        partial%file//': is complete, and is not replaced; move it away', exit_bad_input)
     end if
     if (.not. allocated(error)) then
       ! Another process may write the same file at the same time.

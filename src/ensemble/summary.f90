@@ -11,13 +11,17 @@ module battery_summary
   use battery_quantities, only: real_quantities, integer_quantities, place_of
   use battery_results, only: results_type, task_complete, task_not_asked, &
     point_two_states, point_not_precise
-  use battery_columns, only: whole_text, number_text, duration_text, rate_text
+  use battery_columns, only: whole_text, number_text, rate_text
+  use battery_files, only: file_exists
   use battery_terminal, only: print_line
-  use battery_command_line, only: ways_to_stop
-  use battery_text, only: to_text, count_text, numbers_text
+  use battery_text, only: duration_text, to_text, count_text, numbers_text
   implicit none (type, external)
   private
-  public :: print_summary, print_stop
+  public :: print_summary, stopped_text
+
+  !> What a run that was stopped early says.
+  character(len=*), parameter :: stopped_text = &
+    'stopped early, the state is saved: the same command goes on'
 
   !> Up to this many tasks are printed one by one; up to this many points, with averages over their
   !> replicas.
@@ -55,13 +59,13 @@ contains
     integer :: done, task
 
     do task = 1, size(results%failure)
-      if (allocated(results%failure(task)%text)) call print_line('task '//to_text(task) &
+      if (allocated(results%failure(task)%text)) call print_line(task_text(plan, task) &
         //' failed: '//results%failure(task)%text)
     end do
     if (quiet) return
     call print_tables(plan, results)
-    if (task_count(plan) > most_rows) call print_line('all points: battery-postproc table ' &
-      //plan%file)
+    if (plan%point_count > most_rows) call print_line('all points: '//postproc_command() &
+      //' table '//plan%file)
     done = count(results%task_status == task_complete)
     call print_line(to_text(done)//' of '//to_text(count(results%task_status /= task_not_asked)) &
       //' tasks are complete')
@@ -76,24 +80,9 @@ contains
       call print_line('some particles are on orbits that never leave: see the dataset trapped')
     if (results%short_tasks > 0) call print_line(to_text(results%short_tasks)//' of the complete ' &
       //'tasks ended before the last of snapshot_times: the later snapshots are NaN')
-    if (all_done) then
-      call print_line('results: '//plan%file)
-    else
-      call print_stop(ranks, 'results: '//plan%file)
-    end if
+    if (.not. all_done) call print_line(stopped_text)
+    call print_line('results: '//plan%file)
   end subroutine print_summary
-
-  !> Prints the last lines of a run that was stopped early.
-  subroutine print_stop(ranks, where_results_are)
-    !> Number of ranks.
-    integer, intent(in) :: ranks
-    !> The last line.
-    character(len=*), intent(in) :: where_results_are
-
-    call print_line('stopped early, the state is saved: the same command goes on')
-    if (ranks > 1) call print_line(ways_to_stop)
-    call print_line(where_results_are)
-  end subroutine print_stop
 
   !> Prints a table of the complete tasks, each with its own errors, and one of the points with two
   !> complete replicas or more, with errors from their scatter: of the polarised current, not of
@@ -104,11 +93,13 @@ contains
     integer :: complete(size(results%point)), p, r
     integer, allocatable :: shown(:)
     real(dp), allocatable :: error(:)
-    logical :: lacking
+    !> Whether an error is missing; whether one is that of the first quantity shown.
+    logical :: lacking, too_short
 
     complete = count(results%task_status == task_complete, dim=1)
     shown = shown_quantities(results)
     lacking = .false.
+    too_short = .false.
     if (task_count(plan) <= most_rows .and. any(complete > 0)) then
       call print_line(table_head('   replica', shown))
       do p = 1, size(complete)
@@ -116,6 +107,7 @@ contains
           if (results%task_status(r, p) /= task_complete) cycle
           error = results%error(r, p, places(shown))
           lacking = lacking .or. any(ieee_is_nan(error))
+          too_short = too_short .or. ieee_is_nan(error(1))
           call print_line(row_text(plan, results, p, r - 1, pairs_text(results%average(r, p, &
             places(shown)), error)))
         end do
@@ -129,8 +121,24 @@ contains
           means_text(results, p, shown)))
       end do
     end if
-    if (lacking) call print_line('-: one run does not tell its own error here; replicas give one ' &
-      //'(&scan replicas)')
+    if (lacking) call print_line('-: no error of its own: '//reason()//trim(merge('; use those ' &
+      //'over replicas     ', '; &scan replicas = 8 gives one', plan%replicas > 1)))
+
+  contains
+
+    !> Why an error is missing (`battery_observer`).
+    pure function reason() result(text)
+      character(len=:), allocatable :: text
+
+      if (plan%urn_sides > 0) then
+        text = 'directions never relax in regular polygons'
+      else if (too_short) then
+        text = 'the run is too short'
+      else
+        text = 'the gate of the emptier urn reversed, or the polarity changed, too rarely'
+      end if
+    end function reason
+
   end subroutine print_tables
 
   !> Places in `names` of what the tables show: chi and the polarised current where they are known,
@@ -281,15 +289,37 @@ contains
     type(plan_type), intent(in) :: plan
     type(results_type), intent(in) :: results
     real(dp), allocatable :: cpu_seconds(:, :)
-    character(len=:), allocatable :: point
     integer :: at(2)
 
     cpu_seconds = results%average(:, :, place_of('cpu_seconds', real_quantities()))
     at = maxloc(cpu_seconds, mask=results%task_status == task_complete)
-    point = point_text(plan, at(2), '')
-    if (point /= '') point = point//', '
     call print_line('slowest task: '//duration_text(cpu_seconds(at(1), at(2))) &
-      //' of a processor, '//point//'replica '//to_text(at(1) - 1))
+      //' of a processor, '//task_text(plan, (at(2) - 1)*plan%replicas + at(1)))
   end subroutine print_slowest
+
+  !> The values of the keys of the scan, and the replica, of a task.
+  function task_text(plan, task) result(text)
+    type(plan_type), intent(in) :: plan
+    !> Number of the task.
+    integer, intent(in) :: task
+    character(len=:), allocatable :: text
+
+    text = point_text(plan, 1 + (task - 1)/plan%replicas, '')
+    if (text /= '') text = text//', '
+    text = text//'replica '//to_text(modulo(task - 1, plan%replicas))
+  end function task_text
+
+  !> The command of the Python package: that beside the program, where there is one.
+  function postproc_command() result(text)
+    character(len=:), allocatable :: text
+    character(len=:), allocatable :: program_file
+    integer :: length
+
+    call get_command_argument(0, length=length)
+    allocate (character(len=length) :: program_file)
+    call get_command_argument(0, program_file)
+    text = program_file(:index(program_file, '/', back=.true.))//'battery-postproc'
+    if (.not. file_exists(text)) text = 'battery-postproc'
+  end function postproc_command
 
 end module battery_summary

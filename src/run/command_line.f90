@@ -26,7 +26,7 @@ module battery_command_line
 
   !> Ways to stop a run without loss: Open MPI kills ranks that take longer than a second (version
   !> 5: a quarter of a second) to save their states.
-  character(len=*), parameter, public :: ways_to_stop = &
+  character(len=*), parameter :: ways_to_stop = &
     'SIGUSR1 to mpirun or srun, or &limits wall_minutes, loses nothing. Open MPI''s mpirun' &
     //new_line_character &
     //'kills its ranks within 1 s of SIGTERM or SIGINT: a large run may lose what it did since' &

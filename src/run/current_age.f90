@@ -20,7 +20,7 @@ module battery_current_age
   use battery_kinds, only: dp, int64
   use battery_plan, only: plan_type, point_type, point_of, point_text, table_of
   use battery_table, only: table_type, area, perimeter, channel1, channel2
-  use battery_text, only: to_text
+  use battery_text, only: to_text, duration_text
   implicit none (type, external)
   private
   public :: circulation_type, circulation_at, lacking_share, transient_for, current_remark
@@ -32,10 +32,6 @@ module battery_current_age
     !> The time tau after which a circulating particle is reversed.
     real(dp) :: lifetime = 1.0_dp
   end type circulation_type
-
-  !> Engines without approximations.
-  character(len=*), parameter :: exact_engines(3) = [character(len=11) :: 'excursion', &
-    'collision', 'synchronous']
 
   real(dp), parameter :: pi = acos(-1.0_dp)
 
@@ -61,9 +57,11 @@ contains
 
   !> Remark on the point of a plan with the largest deficit, and the transient that its currents
   !> would need for one per cent; empty if all deficits are allowed, or if (1) does not apply.
-  function current_remark(plan) result(text)
+  function current_remark(plan, seconds) result(text)
     type(plan_type), intent(in) :: plan
-    character(len=:), allocatable :: text
+    !> Expected duration of the run in seconds; 0: not known.
+    real(dp), intent(in) :: seconds
+    character(len=:), allocatable :: text, key
     real(dp), allocatable :: lacks(:)
     real(dp) :: most, transient, times
     character(len=16) :: percent
@@ -71,7 +69,8 @@ contains
 
     text = ''
     if (plan%shape == 'urn' .or. plan%urn_shape == 'polygon' .or. size(plan%scatterers) > 0 .or. &
-      plan%initial_file /= '' .or. all(plan%engine /= exact_engines)) return
+      plan%initial_file /= '' .or. any(plan%engine == [character(len=9) :: 'timestep', &
+      'reservoir'])) return
     step = 1 + (plan%point_count - 1)/most_points
     lacks = [(lacking_share(circulation_at(point_of(plan, at)), ages_measured(plan, point_of(plan, &
       at))), at=1, plan%point_count, step)]
@@ -90,28 +89,41 @@ contains
       text = text//', and a run that is old enough would cost more than ' &
         //to_text(nint(most_times))//' times this one; compare with theory at the age of the run'
     else
-      text = text//'; &run transient_duration = '//to_text(nint(transient, int64)) &
-        //', duration = '//to_text(nint((1.0_dp + measured)*transient, int64)) &
-        //' would lack 0.25 % ('//to_text(max(nint(times), 1))//' times the cost)'
+      key = trim(merge('duration  ', 'collisions', plan%duration > 0.0_dp))
+      transient = two_digits(transient/time_unit(plan, point_of(plan, worst)))
+      text = text//'; &run transient_'//key//' = '//to_text(nint(transient, int64))//', '//key &
+        //' = '//to_text(nint((1.0_dp + measured)*transient, int64))//' would lack 0.25 % ('
+      if (seconds > 0.0_dp) then
+        text = text//'about '//duration_text(times*seconds)//')'
+      else
+        text = text//to_text(max(nint(times), 1))//' times the cost)'
+      end if
     end if
   end function current_remark
 
-  !> First and last age, since the start, of the averages of a run of this plan at a point. The mean
-  !> time between collisions is taken as the mean free path of the empty table.
+  !> First and last age, since the start, of the averages of a run of this plan at a point.
   pure function ages_measured(plan, point) result(ages)
     type(plan_type), intent(in) :: plan
     type(point_type), intent(in) :: point
     real(dp) :: ages(2)
+
+    ages = real([plan%transient_collisions, plan%collisions], dp)
+    if (plan%duration > 0.0_dp) ages = real([plan%transient_duration, plan%duration], dp)
+    ages = ages*time_unit(plan, point)
+  end function ages_measured
+
+  !> Time for each unit of the length of runs: 1, or if it is in collisions the mean time between
+  !> them, taken as the mean free path of the empty table over the number of particles.
+  pure real(dp) function time_unit(plan, point) result(time)
+    type(plan_type), intent(in) :: plan
+    type(point_type), intent(in) :: point
     type(table_type) :: table
 
-    if (plan%duration > 0.0_dp) then
-      ages = real([plan%transient_duration, plan%duration], dp)
-    else
-      table = table_of(plan, point)
-      ages = real([plan%transient_collisions, plan%collisions], dp) &
-        *pi*real(area(table)/perimeter(table), dp)/real(point%number, dp)
-    end if
-  end function ages_measured
+    time = 1.0_dp
+    if (plan%duration > 0.0_dp) return
+    table = table_of(plan, point)
+    time = pi*real(area(table)/perimeter(table), dp)/real(point%number, dp)
+  end function time_unit
 
   !> Circulation at a parameter point whose urns are discs.
   pure type(circulation_type) function circulation_at(point) result(found)
@@ -203,21 +215,26 @@ contains
     lacking_share = circulation%growth*sum(exp(-age)*log(1.0_dp + 1.0_dp/age))/real(parts, dp)
   end function lacking_share
 
-  !> Transient, the least number of two digits, after which the current of a run that measures twice
-  !> as long has a relative deficit of at most `part`.
+  !> Transient, the least in steps of 1 %, after which the current of a run that measures twice as
+  !> long has a relative deficit of at most `part`.
   pure real(dp) function transient_for(circulation, part) result(transient)
     type(circulation_type), intent(in) :: circulation
     !> Greatest relative deficit allowed, above 0.
     real(dp), intent(in) :: part
-    !> Decades below the lifetime at which the search begins; numbers of two digits in a decade.
-    integer, parameter :: decades = 13, numbers = 90
-    integer :: step
 
-    do step = 0, huge(step) - 1
-      transient = real(10 + mod(step, numbers), dp)*10.0_dp**(floor(log10(circulation%lifetime)) &
-        - decades + step/numbers)
-      if (lacking_share(circulation, [1.0_dp, 1.0_dp + measured]*transient) <= part) exit
+    ! A transient of no length lacks most.
+    transient = 1.0e-13_dp*circulation%lifetime
+    do while (lacking_share(circulation, [1.0_dp, 1.0_dp + measured]*transient) > part)
+      transient = 1.01_dp*transient
     end do
   end function transient_for
+
+  !> The least number of two digits that is not below a number above 0.
+  pure real(dp) function two_digits(number)
+    real(dp), intent(in) :: number
+
+    two_digits = 10.0_dp**(floor(log10(number)) - 1)
+    two_digits = two_digits*ceiling(number/two_digits)
+  end function two_digits
 
 end module battery_current_age

@@ -7,8 +7,8 @@ module battery_initial_state
   use battery_findings, only: findings_type, finding_of, add_finding, findings_text, &
     displayable_text
   use battery_text, only: to_text, new_line_character
-  use battery_table, only: table_type, chamber_at, moves_along_arc, outside, half_length, &
-    try_random_point
+  use battery_table, only: table_type, passage_type, passage_at, channel1, chamber_at, &
+    moves_along_arc, outside, half_length, try_random_point
   use battery_engine, only: particles_type
   use battery_signals, only: stop_requested, set_stop_error
   use battery_gsl, only: seed_generator, uniform
@@ -98,7 +98,7 @@ contains
     type(error_type), allocatable, intent(out) :: error
     type(findings_type) :: findings
     character(len=:), allocatable :: problem, foreign
-    real(wp) :: state(4), speed
+    real(wp) :: state(4)
     integer(int64) :: first, line_start, last, next
     integer :: line, count
 
@@ -135,11 +135,11 @@ contains
         ! All lines may have such a byte.
         if (foreign /= '') exit
       else if (count <= number) then
-        speed = hypot(state(3), state(4))
-        particles%x(count) = state(1)
+        state(3:) = state(3:)/hypot(state(3), state(4))
+        particles%x(count) = before_crossing(table, state)
         particles%y(count) = state(2)
-        particles%ux(count) = state(3)/speed
-        particles%uy(count) = state(4)/speed
+        particles%ux(count) = state(3)
+        particles%uy(count) = state(4)
       end if
     end do
     if (foreign == '' .and. count /= number) call add_finding(findings, finding_of(0, 'has ' &
@@ -159,6 +159,23 @@ contains
     end do
     inside = .true.
   end function are_inside
+
+  !> x of a particle, just before the line if it starts exactly on the chord of a gate or on the
+  !> middle line, and moves over it: a run ends before the events of its last instant, and who goes
+  !> on from its final state has them.
+  pure real(wp) function before_crossing(table, state) result(x)
+    type(table_type), intent(in) :: table
+    !> x, y, u_x, u_y.
+    real(wp), intent(in) :: state(4)
+    type(passage_type) :: passage
+
+    x = state(1)
+    passage = passage_at(table, state(1), state(2), state(3), state(4))
+    if (passage%trapped .or. passage%channel /= channel1) return
+    if (.not. (abs(x) > 0.0_wp .or. state(3) < 0.0_wp .or. table%urn_count == 1)) x = -tiny(x)
+    if (abs(x) >= table%urn(passage%urn)%channel_start(channel1) .and. x*state(3) < 0.0_wp) &
+      x = nearest(x, x)
+  end function before_crossing
 
   !> Parses one line of an initial file: its four numbers, and its problem (empty: none).
   subroutine read_line(line, table, state, problem)

@@ -3,7 +3,7 @@
 module battery_plan_remarks
   use battery_current_age, only: current_remark
   use battery_keys, only: key_radius
-  use battery_kinds, only: wp
+  use battery_kinds, only: wp, dp
   use battery_findings, only: finding_type, finding_of, of_remark
   use battery_plan, only: plan_type, point_type, point_of, points_text, is_scanned
   use battery_table, only: channel2
@@ -15,8 +15,10 @@ module battery_plan_remarks
 contains
 
   !> Remarks on a plan without problems, one sentence each, with the points of the scan.
-  function remarks_of(plan) result(remarks)
+  function remarks_of(plan, seconds) result(remarks)
     type(plan_type), intent(in) :: plan
+    !> Expected duration of the run in seconds; 0: not known.
+    real(dp), intent(in) :: seconds
     type(string_type), allocatable :: remarks(:)
     type(point_type) :: point
     type(finding_type) :: finding
@@ -63,7 +65,7 @@ contains
         //' of urn 1, '//radii(2)%text//' of urn 2'
       remarks = [remarks, remark]
     end if
-    remark%text = current_remark(plan)
+    remark%text = current_remark(plan, seconds)
     if (remark%text /= '') remarks = [remarks, remark]
   end function remarks_of
 

@@ -283,7 +283,9 @@ contains
     !> 0 if no side is found, which only rounding can cause.
     integer, intent(out) :: side
     real(wp), intent(out) :: wait
+    real(wp), parameter :: golden = 0.5_wp*(sqrt(5.0_wp) - 1.0_wp)
     real(wp) :: before, after, time, enters, first, second
+    logical :: inside
     integer :: k
 
     side = 0
@@ -321,8 +323,13 @@ contains
     wait = max(wait, 0.0_wp)
     if (side == 0 .or. enters > wait + polygon%tolerance) return
     ! The path enters before it leaves, or where it does: it may run outside from corner to corner.
-    if (enters < wait - polygon%tolerance .or. .not. is_in_polygon(polygon, x &
-      + 0.5_wp*wait*ux, y + 0.5_wp*wait*uy, polygon%tolerance)) side = 0
+    ! Asked at two places that divide it by the golden ratio: halfway there may be a corner as well.
+    inside = enters >= wait - polygon%tolerance
+    do k = 1, 2
+      if (inside) inside = is_in_polygon(polygon, x + golden**k*wait*ux, y + golden**k*wait*uy, &
+        polygon%tolerance)
+    end do
+    if (.not. inside) side = 0
   end subroutine find_next_side
 
   !> As `find_next_side`, but also for a particle that moves along a side, or that rounding has put
