@@ -8,6 +8,7 @@ import math
 import os
 import re
 import sys
+import threading
 import warnings
 from contextlib import contextmanager
 from pathlib import Path
@@ -22,6 +23,7 @@ if TYPE_CHECKING:
 EXIT_BAD_INPUT = 2
 # The reader of a pipe, such as `head`, has enough: the exit of a program that SIGPIPE ended.
 EXIT_CLOSED_PIPE = 141
+EXIT_INTERRUPTED = 130
 BEGINNINGS = {  # of the files that are written, by kind
     "namelist": re.compile(rb"(\xef\xbb\xbf)?(\s|![^\n]*\n)*&\w"),
     "HTML page": re.compile(rb"\s*<!DOCTYPE html", re.IGNORECASE),
@@ -153,8 +155,12 @@ def replaced(path: Path) -> Iterator[Path]:
 
     A failure leaves what was there, and is an `InputError`. A device is written to as it is.
     """
-    final = path.resolve()
-    half = final.with_name(f".{final.stem}.{os.getpid()}{final.suffix}")
+    try:
+        final = path.resolve()
+    except RuntimeError as problem:  # OSError from Python 3.13 on
+        raise InputError(f"cannot write {path}: its links lead in a circle") from problem
+    own = f"{os.getpid()}.{threading.get_ident()}"
+    half = final.with_name(f".{final.stem[:40]}.{own}{path.suffix}")
     try:
         if final.is_file() or not final.exists():
             yield half
@@ -242,6 +248,9 @@ def run(main: Callable[[list[str] | None], int], arguments: list[str] | None = N
         return EXIT_CLOSED_PIPE
     except OSError as problem:
         message = _system_message(problem)
+    except KeyboardInterrupt:
+        _forget_output()
+        return EXIT_INTERRUPTED
     except MemoryError as problem:
         message = f"not enough memory: {problem}" if str(problem) else "not enough memory"
     _forget_output()
@@ -257,6 +266,9 @@ def _open_streams() -> None:
     for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
         if getattr(sys, name) is None:
             setattr(sys, name, Path(os.devnull).open(mode, encoding="utf-8"))  # noqa: SIM115
+        elif mode == "w" and hasattr(getattr(sys, name), "reconfigure"):
+            # Names of files may have any bytes.
+            getattr(sys, name).reconfigure(errors="backslashreplace")
 
 
 def printable(text: str) -> str:

@@ -11,7 +11,16 @@ from pathlib import Path
 
 import h5py
 import pytest
-from support.program import ROOT, assert_same, call_failing, run, write_case
+from support.program import (
+    ROOT,
+    assert_same,
+    call_failing,
+    finish,
+    kill_all,
+    run,
+    under_way,
+    write_case,
+)
 
 ENOTSUPP = 524  # of the kernel, without a name in errno.h
 LACKS = [("NO_FLOCK", number) for number in (errno.ENOLCK, errno.EOPNOTSUPP, ENOTSUPP)]
@@ -121,6 +130,18 @@ def test_results_that_hdf5_cannot_read_are_one_line(
     )  # fmt: skip
     assert read.returncode == 2
     assert len(read.stderr.splitlines()) == 1
+
+
+def test_a_lock_file_that_cannot_be_looked_at_is_an_error(lacking: str, tmp_path: Path) -> None:
+    """It is that of a run that is dead; the next one neither waits for ever nor takes it."""
+    write_case(CASE, tmp_path, run={"duration": 1e12}, limits={"checkpoint_minutes": 0.001})
+    process, _ = under_way("--quiet", "case.nml", folder=tmp_path)
+    kill_all(process)
+    finish(process)
+    away = call_failing(lacking, "lstat", "out.h5.owner", errno.ESTALE)
+    ended = run("--quiet", "case.nml", folder=tmp_path, environment=away)
+    assert (ended.returncode, "Stale file handle" in ended.stderr) == (2, True)
+    assert (tmp_path / "out.h5.owner").exists()
 
 
 def test_overwrite_does_not_go_on_from_a_journal_that_it_cannot_see(

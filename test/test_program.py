@@ -544,6 +544,54 @@ def test_final_state_goes_on(tmp_path: Path) -> None:
         assert root["urn1_number"].item() == (final["x"] < 0).sum().item()
 
 
+@pytest.mark.parametrize("engine", ["excursion", "collision", "synchronous"])
+@pytest.mark.parametrize(
+    ("start", "cut"),
+    [("-0.75 0.0625 1 0", 0.25), ("0.75 0.0625 -1 0", 0.25), ("-0.25 0.0625 1 0", 0.25),
+     ("0.25 0.0625 -1 0", 0.25)],
+)  # fmt: skip
+def test_an_event_of_the_last_instant_is_that_of_who_goes_on(
+    tmp_path: Path, engine: str, start: str, cut: float
+) -> None:
+    """A particle at a gate, or on the middle line, at the end; the gate turns back whoever enters.
+
+    A run ends before the events of its last instant. All numbers are exact.
+    """
+
+    def part(name: str, start: str, begin: float, end: float) -> tuple[list[float], list[tuple]]:
+        (tmp_path / f"{name}.txt").write_text(start)
+        write(
+            tmp_path, f"{name}.nml", gate={"threshold": 0},
+            table={"urn_shape": "'polygon'", "urn_vertices": "1,-1,1,1,-1,1,-1,-1",
+                   "channel1_width": 0.25, "channel2_width": 0.25},
+            particles={"number": 1, "initial_file": f"'{name}.txt'"},
+            run={"engine": f"'{engine}'", "duration": end - begin, "start_time": begin,
+                 "transient_duration": 0},
+            output={"file": f"'{name}.h5'", "final_state": ".true.", "event_log": ".true."},
+        )  # fmt: skip
+        ended = run("--quiet", f"{name}.nml", folder=tmp_path)
+        assert ended.returncode == 0, ended.stdout
+        with h5py.File(tmp_path / f"{name}.h5") as file:
+            log = [file[f"events/{key}"][()].tolist() for key in ("kind", "where")]
+            return [float(file[f"final/{key}"][0, 0, 0]) for key in ("x", "y", "ux", "uy")], list(
+                zip(*log, strict=True)
+            )
+
+    whole, first = part("whole", start, 0.0, 1.25), part("first", start, 0.0, cut)
+    second = part("second", " ".join(map(repr, first[0])), cut, 1.25)
+    assert second[0] == pytest.approx(whole[0], abs=1e-14)
+    assert len(whole[1]) in (1, 2)
+    assert first[1] + second[1] == whole[1]
+
+
+def test_variables_of_a_fortran_library_change_nothing(tmp_path: Path) -> None:
+    """Some climate models want another order of bytes, and export that; a stopped run goes on."""
+    odd = {"GFORTRAN_CONVERT_UNIT": "big_endian", "GFORTRAN_OPTIONAL_PLUS": "1"}
+    write(tmp_path)
+    ended = run("case.nml", folder=tmp_path, environment=odd)
+    assert (ended.returncode, ended.stderr) == (0, "")
+
+
 def complete_run(folder: Path) -> CompletedProcess[str]:
     """Make a complete results file."""
     write(folder)

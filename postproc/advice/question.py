@@ -123,6 +123,7 @@ def _groups_of(namelist: str | Path | Groups) -> tuple[str, dict[str, Any]]:
         return "the namelist", f90nml.reads(write_namelist(None, namelist)).todict()
     path = cli.existing_file(cli.path_of(namelist, "namelist"))
     try:
-        return str(path), f90nml.read(path).todict()
-    except (ValueError, StopIteration, AssertionError, UnicodeDecodeError) as problem:
+        text = path.read_text(encoding="utf-8-sig", errors="replace")  # comments may be in any
+        return str(path), f90nml.reads(text).todict()
+    except (ValueError, StopIteration, AssertionError) as problem:
         raise cli.InputError(f"{path}: is no namelist: {problem}") from problem

@@ -52,5 +52,5 @@ def report(
     say(points, remark(points))
     cli.output_folder(path.parent)
     with cli.replaced(path) as half:
-        half.write_text(text, encoding="utf-8")
+        half.write_text(text, encoding="utf-8", errors="replace")
     return path

@@ -11,6 +11,7 @@ from typing import TextIO
 
 import pytest
 
+from postproc import cli
 from postproc.__main__ import COMMANDS
 from postproc.commands.plot import FIGURES
 from postproc.tests.commands import call
@@ -245,3 +246,36 @@ def theory_to(output: TextIO, words: list[str]) -> subprocess.CompletedProcess[s
         [sys.executable, "-m", "postproc", "theory", *words], cwd=ROOT, stdout=output,
         stderr=subprocess.PIPE, text=True, check=False, timeout=120,
     )  # fmt: skip
+
+
+def test_names_of_files_may_have_any_bytes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Also in the page that has the name as its title, and where the terminal has none of them."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "a.h5").write_bytes(results_of(tmp_path / "b.h5").read_bytes())
+    name = os.fsdecode(b"\xff\xe9.h5")
+    (tmp_path / "a.h5").rename(name)
+    for words in (["report", name], ["plot", "flows", name]):
+        ended = subprocess.run(
+            [sys.executable, "-m", "postproc", *words], capture_output=True, check=False,
+            env={**os.environ, "PYTHONIOENCODING": "ascii:strict", "PYTHONPATH": str(ROOT)},
+        )  # fmt: skip
+        assert (ended.returncode, ended.stderr) == (0, b"")
+
+
+def test_a_file_by_a_circle_of_links_is_one_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    results_of(tmp_path / "a.h5")
+    (tmp_path / "a.html").symlink_to("other.html")
+    (tmp_path / "other.html").symlink_to("a.html")
+    assert call("report", ["a.h5"]) == 2
+    assert capsys.readouterr().err.count("\n") == 1
+
+
+def test_who_is_interrupted_says_nothing(capsys: pytest.CaptureFixture[str]) -> None:
+    def main(_: list[str] | None) -> int:
+        raise KeyboardInterrupt
+
+    assert cli.run(main) == cli.EXIT_INTERRUPTED
+    assert capsys.readouterr().err == ""

@@ -17,11 +17,12 @@ enum { locked, locked_by_another, no_locks };
 
 int battery_write_all(int descriptor, const char *bytes, size_t length);
 
-/* Whether a path still names the open file. */
+/* Whether a path still names the open file; -1: the system does not say. */
 static int names(const char *path, int descriptor) {
   struct stat named, opened;
-  return lstat(path, &named) == 0 && fstat(descriptor, &opened) == 0
-    && named.st_dev == opened.st_dev && named.st_ino == opened.st_ino;
+  if (lstat(path, &named) != 0) return errno == ENOENT ? 0 : -1;
+  if (fstat(descriptor, &opened) != 0) return -1;
+  return named.st_dev == opened.st_dev && named.st_ino == opened.st_ino;
 }
 
 static int lock(int descriptor) {
@@ -87,11 +88,13 @@ static int remove_of_ended(const char *path, const char *text, char *holder, int
     outcome = unknown;
   if (outcome == taken) {
     got = lock(descriptor);
+    int named = names(path, descriptor);
     /* An owner that releases its file removes it: then this lock is on a file without a name. */
-    if (!names(path, descriptor)) {
+    if (named == 0) {
       holder[0] = '\0';
       outcome = again;
     }
+    else if (named < 0) outcome = failed;
     else if (got != locked) outcome = got == locked_by_another ? held : unknown;
     else if (unlink(path) != 0) outcome = failed;
   }
@@ -156,7 +159,7 @@ int battery_own(const char *path, const char *text, char *holder, int capacity, 
 
 /* Removes the file, if it is still that of the owner, and releases the lock. */
 void battery_disown(const char *path, int descriptor) {
-  if (names(path, descriptor)) unlink(path);
+  if (names(path, descriptor) > 0) unlink(path);
   close(descriptor);
 }
 

@@ -1,6 +1,7 @@
 /* Signals that request a stop; the handler uses async-signal-safe operations only. */
 #include <signal.h>
 #include <stddef.h>
+#include <string.h>
 #include <time.h>
 #include <unistd.h>
 
@@ -37,14 +38,33 @@ static void receive(int number)
    they are loaded, which UCX does. */
 static int hangup_ignored;
 
-static void at_start(void)
+/* Removes variables of the environment that change what a Fortran library reads and writes: the order of
+   bytes, and the signs of numbers. It reads them as it is loaded. */
+static void forget_formats(char **environment)
 {
+  static const char *const names[] = {"GFORTRAN_CONVERT_UNIT=", "GFORTRAN_OPTIONAL_PLUS=", "FORT_CONVERT="};
+  char **kept = environment;
+  for (char **at = environment; *at != NULL; at++) {
+    int is_kept = 1;
+    for (size_t k = 0; k < sizeof names / sizeof names[0]; k++)
+      if (strncmp(*at, names[k], strlen(names[k])) == 0) is_kept = 0;
+    if (is_kept) *kept++ = *at;
+  }
+  *kept = NULL;
+}
+
+static void at_start(int count, char **words, char **environment)
+{
+  (void)count;
+  (void)words;
+  forget_formats(environment);
   struct sigaction before = {0};
   sigaction(SIGHUP, NULL, &before);
   hangup_ignored = before.sa_handler == SIG_IGN;
 }
 
-__attribute__((section(".preinit_array"), used)) static void (*const before_libraries)(void) = at_start;
+__attribute__((section(".preinit_array"), used)) static void (*const before_libraries)(int, char **, char **)
+  = at_start;
 
 /* Sets the handlers: the signals of the list request a stop; a write beyond a size limit or to a closed
    pipe fails, but does not end the program. SIGHUP stays ignored where it was ignored. */

@@ -106,7 +106,8 @@ contains
     character(len=*), intent(in) :: name
     !> The file cannot be read, is open in another program, is damaged, or has no footer.
     type(error_type), allocatable, intent(out) :: error
-    !> Whether the error is that a file of this program, as long as HDF5 says, has no footer.
+    !> Whether the error is that a file of this program, at least as long as HDF5 says, has no
+    !> footer.
     logical, intent(out), optional :: lacks_footer
     !> Stamp of the file that was read, also after an error.
     type(file_stamp_type), intent(out), optional :: stamp
@@ -116,6 +117,7 @@ contains
     type(file_stamp_type) :: seen
     integer(int64) :: bytes, content
     integer :: status
+    logical :: has_footer
 
     if (present(lacks_footer)) lacks_footer = .false.
     if (is_folder(name)) call fatal_error(error, name//' is a folder'//leave_it, exit_bad_input)
@@ -127,6 +129,8 @@ contains
       beginning, c_int64_t), footer, digits, bytes, seen%mark)
     if (present(stamp)) stamp = seen
     content = merge(bytes - footer_length, bytes, bytes > footer_length)
+    has_footer = index(footer, first_line//new_line('a')) == 1 .or. (index(footer, explanation) &
+      > 0 .and. content == end_in_hdf5(first))
     if (content < beginning) first = first(:content)
     if (status < 0) then
       call fatal_error(error, name//' is open in another program, which may change it; ' &
@@ -136,15 +140,16 @@ contains
       error%code = exit_bad_input
     else if (footer == footer_text(content, digits)) then
       return
-    else if (index(footer, first_line//new_line('a')) == 1 .or. index(footer, explanation) > 0) then
+    else if (has_footer) then
       call fatal_error(error, name//' is damaged: its digest is wrong', exit_failure)
-    else if (index(first, mark) > 0 .and. end_in_hdf5(first) == bytes) then
+    else if (index(first, mark) > 0 .and. end_in_hdf5(first) <= bytes) then
+      ! Its footer was cut off, in part or as a whole, or something is behind it.
       if (present(lacks_footer)) lacks_footer = .true.
       call fatal_error(error, name//' was changed by another program, or is of a version before ' &
         //'0.2.0: it has no digest at its end, which HDF5 cuts off when it opens a file for ' &
         //'writing; if the contents are still as they were, battery --accept FILE.nml takes them ' &
         //'as they are', exit_bad_input)
-    else if (may_be_results(first, bytes)) then
+    else if (may_be_results(first, bytes) .or. index(footer, explanation) > 0) then
       call fatal_error(error, name//' is damaged: it has no digest at its end', exit_failure)
     else
       call fatal_error(error, name//' is not a results file of this program'//leave_it, &
@@ -214,7 +219,8 @@ contains
     end do
   end function end_in_hdf5
 
-  !> Copies a file without a footer, and adds one. All of it is in memory, as when it was made.
+  !> Copies the HDF5 of a file without a footer, and adds one. All of it is in memory, as when it
+  !> was made.
   subroutine copy_with_footer(name, copy, error)
     !> Paths of the file and of its copy, which is made anew.
     character(len=*), intent(in) :: name, copy
@@ -222,7 +228,8 @@ contains
     character(len=:), allocatable :: text
 
     call read_file(name, text, error)
-    if (.not. allocated(error)) call write_with_footer(copy, transfer(text, [0_int8]), error)
+    if (.not. allocated(error)) call write_with_footer(copy, transfer(text(:end_in_hdf5(text)), &
+      [0_int8]), error)
   end subroutine copy_with_footer
 
 end module battery_checksum_footer

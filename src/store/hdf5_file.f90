@@ -278,7 +278,7 @@ contains
       associate (step => path(:last - merge(0, 1, slash == 0)))
         call h5lexists_f(file%id, step, is_there, status)
         if (.not. is_there) status = 1
-        call check_status(file, path, 'is not there', status, error)
+        call check_status(file, path, 'is not there, or cannot be read', status, error)
         if (status == 0) call check_status(file, path, 'is a link out of its place', merge(1, 0, &
           link_value(file%id, step//c_null_char, c_null_ptr, 0_c_size_t, h5p_default_f) >= 0), &
           error)
@@ -607,7 +607,7 @@ contains
     if (status == 0) call h5dget_create_plist_f(dataset%id, layout, status)
     if (status == 0) call h5pget_layout_f(layout, way, status)
     if (status == 0) call h5pget_external_count_f(layout, others, status)
-    call check_status(file, path, 'is no dataset', status, error)
+    call check_status(file, path, 'is no dataset, or cannot be read', status, error)
     if (status == 0 .and. (others > 0 .or. all(way /= [h5d_compact_f, h5d_contiguous_f, &
       h5d_chunked_f]))) call check_status(file, path, 'does not lie in the file itself', 1, error)
     call release_handle(layout, status)
