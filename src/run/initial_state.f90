@@ -14,7 +14,7 @@ module battery_initial_state
   use battery_gsl, only: seed_generator, uniform
   implicit none (type, external)
   private
-  public :: random_particles, parse_particles, are_inside
+  public :: random_particles, parse_particles, are_inside, before_crossing
 
   !> Characters that separate the numbers of a line, besides commas.
   character(len=*), parameter :: blanks = ' '//achar(9)
@@ -136,7 +136,7 @@ contains
         if (foreign /= '') exit
       else if (count <= number) then
         state(3:) = state(3:)/hypot(state(3), state(4))
-        particles%x(count) = before_crossing(table, state)
+        particles%x(count) = state(1)
         particles%y(count) = state(2)
         particles%ux(count) = state(3)
         particles%uy(count) = state(4)
@@ -160,21 +160,21 @@ contains
     inside = .true.
   end function are_inside
 
-  !> x of a particle, just before the line if it starts exactly on the chord of a gate or on the
-  !> middle line, and moves over it: a run ends before the events of its last instant, and who goes
-  !> on from its final state has them.
-  pure real(wp) function before_crossing(table, state) result(x)
+  !> x of a particle of a run that goes on: just before the line if it is exactly on the chord of a
+  !> gate or on the middle line, and moves over it, since a run ends before the events of its last
+  !> instant.
+  elemental real(wp) function before_crossing(table, x, y, ux, uy) result(before)
     type(table_type), intent(in) :: table
-    !> x, y, u_x, u_y.
-    real(wp), intent(in) :: state(4)
+    !> Position in the frame of the table, lengths; velocity, of length 1.
+    real(wp), intent(in) :: x, y, ux, uy
     type(passage_type) :: passage
 
-    x = state(1)
-    passage = passage_at(table, state(1), state(2), state(3), state(4))
+    before = x
+    passage = passage_at(table, x, y, ux, uy)
     if (passage%trapped .or. passage%channel /= channel1) return
-    if (.not. (abs(x) > 0.0_wp .or. state(3) < 0.0_wp .or. table%urn_count == 1)) x = -tiny(x)
-    if (abs(x) >= table%urn(passage%urn)%channel_start(channel1) .and. x*state(3) < 0.0_wp) &
-      x = nearest(x, x)
+    if (.not. (abs(x) > 0.0_wp .or. ux < 0.0_wp .or. table%urn_count == 1)) before = -tiny(x)
+    if (abs(x) >= table%urn(passage%urn)%channel_start(channel1) .and. x*ux < 0.0_wp) &
+      before = nearest(x, x)
   end function before_crossing
 
   !> Parses one line of an initial file: its four numbers, and its problem (empty: none).

@@ -10,7 +10,7 @@ module battery_input_files
     follow_links
   use battery_foreign_bytes, only: is_results_file
   use battery_namelist_input, only: check_bytes, read_plan, set_input_error
-  use battery_initial_state, only: parse_particles, are_inside
+  use battery_initial_state, only: parse_particles, are_inside, before_crossing
   use battery_plan, only: plan_type, point_type, refuse_value, point_of, point_text, table_of
   implicit none (type, external)
   private
@@ -161,6 +161,10 @@ contains
     end if
     if (allocated(error)) return
     plan%initial_fingerprint = fingerprint_of(text)
+    associate (first => plan%file_particles)
+      if (plan%start_time > 0.0_wp) first%x = before_crossing(table_of(plan, point_of(plan, 1)), &
+        first%x, first%y, first%ux, first%uy)
+    end associate
     plan%base%urn1_number = count(plan%file_particles%x < 0.0_wp)
   end subroutine use_initial_file
 
