@@ -69,10 +69,10 @@ contains
     channel = merge(channel1, channel2, crossing == channel1_12 .or. crossing == channel1_21)
   end function channel_of
 
-  !> Empties the record, and allocates it for `crossings` crossings and `events` events, or none.
-  subroutine reserve_event_record(event_record, crossings, events)
+  !> Empties the record, and allocates it for `crossings` crossings, or none.
+  subroutine reserve_event_record(event_record, crossings)
     type(event_record_type), intent(inout) :: event_record
-    integer, intent(in) :: crossings, events
+    integer, intent(in) :: crossings
 
     event_record%duration = 0.0_wp
     event_record%crossings = 0
@@ -82,20 +82,19 @@ contains
     event_record%collision_spread_sum = 0
     event_record%collisions_seen = 0
     event_record%events = 0
-    if (crossings >= event_record%capacity .or. event_record%logging) call &
-      grow_event_record(event_record, crossings, events)
+    if (crossings >= event_record%capacity) call grow_event_record(event_record, crossings)
   end subroutine reserve_event_record
 
-  !> Enlarges the arrays to at least `crossings` crossings and `events` events; those that must grow
-  !> are at least doubled.
-  subroutine grow_event_record(event_record, crossings, events)
+  !> Enlarges the arrays to at least `crossings` crossings; if they must grow, they are at least
+  !> doubled. The first call allocates the event log too, which `record_event` enlarges.
+  subroutine grow_event_record(event_record, crossings)
     type(event_record_type), intent(inout) :: event_record
-    !> Total number to fit; events only if they are logged.
-    integer, intent(in) :: crossings, events
+    !> Total number to fit.
+    integer, intent(in) :: crossings
     integer :: capacity
 
     if (.not. allocated(event_record%crossing_time)) allocate (event_record%crossing_time(0), &
-      event_record%crossing(0))
+      event_record%crossing(0), event_record%event(0))
     if (size(event_record%crossing_time) < crossings) then
       capacity = max(crossings, 2*size(event_record%crossing_time), 64)
       event_record%crossing_time = [event_record%crossing_time, spread(0.0_wp, 1, capacity &
@@ -104,13 +103,6 @@ contains
         - size(event_record%crossing))]
     end if
     event_record%capacity = size(event_record%crossing_time)
-    if (.not. event_record%logging) return
-    if (.not. allocated(event_record%event)) allocate (event_record%event(0))
-    if (size(event_record%event) < events) then
-      capacity = max(events, 2*size(event_record%event), 64)
-      event_record%event = [event_record%event, spread(event_type(), 1, capacity &
-        - size(event_record%event))]
-    end if
   end subroutine grow_event_record
 
   !> Adds a crossing, and its event if events are logged.
@@ -124,7 +116,7 @@ contains
     integer, intent(in) :: particle
 
     if (event_record%crossings >= event_record%capacity) call grow_event_record(event_record, &
-      event_record%crossings + 1, 0)
+      event_record%crossings + 1)
     event_record%crossings = event_record%crossings + 1
     event_record%crossing_time(event_record%crossings) = time
     event_record%crossing(event_record%crossings) = int(crossing, int8)
@@ -172,8 +164,8 @@ contains
     !> Kind (`event_entry` ...); gate, or direction 12 or 21; particle, or number of particles.
     integer, intent(in) :: kind, where, particle
 
-    if (event_record%events == size(event_record%event)) call grow_event_record(event_record, &
-      0, event_record%events + 1)
+    if (event_record%events == size(event_record%event)) event_record%event = [event_record%event, &
+      spread(event_type(), 1, max(event_record%events, 64))]
     event_record%events = event_record%events + 1
     event_record%event(event_record%events) = event_type(time, int(kind, int32), int(where, &
       int32), int(particle, int32))

@@ -327,7 +327,7 @@ contains
       self%resumed_count, self%resumed_time, self%resumed)
     counted = number_inside(self%gate)
     call reserve_visits(self%visits(1), event_count + sum(counted) + most_precomputed_visits)
-    call reserve_event_record(event_record, event_count + sum(counted), 0)
+    call reserve_event_record(event_record, event_count + sum(counted))
     if (event_count + sum(counted) <= longest_serial_window) then
       call run_serial_window(self%gate, self%table%urn_across, self%flight, self%calendar, &
         event_count, window_start, window_end, self%visits(1), event_record, self%computed_hits)

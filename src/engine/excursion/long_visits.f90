@@ -170,7 +170,12 @@ contains
       visits%count = at
       visits%place(particle) = int(at, int32)
     end if
-    visits%visit_start(at) = visit_start_type(flight, reversal_time, hits, int(particle, int32))
+    associate (visit_start => visits%visit_start(at))
+      visit_start%flight = flight
+      visit_start%reversal_time = reversal_time
+      visit_start%hits = hits
+      visit_start%particle = int(particle, int32)
+    end associate
   end subroutine store_visit_start
 
   !> Drops invalid starts; enlarges the store if it is still half full.

@@ -164,7 +164,7 @@ contains
 
     window_start = self%now
     window_end = min(window_start + min(duration, self%window), self%epoch)
-    call reserve_event_record(event_record, 64, 64)
+    call reserve_event_record(event_record, 64)
     call run_window_events(self, window_start, window_end, event_record)
     self%now = window_end
     self%fraction = self%fraction + self%hit_rate*real(self%moving, wp)*(window_end - window_start)

@@ -122,7 +122,7 @@ contains
 
     self%window_start = self%now
     hits = self%hits
-    call reserve_event_record(event_record, 64, 64)
+    call reserve_event_record(event_record, 64)
     call self%process_window(event_record, duration)
     event_record%duration = self%window_time
     event_record%collisions = self%hits - hits
