@@ -238,7 +238,7 @@ def not_hdf5(path: Path) -> None:
 BAD = {
     other_version: r"of version 3.0.0 of battery; 0.1.x to 0.4.x can be read",
     another_grid: "damaged: its points do not fill the grid",
-    lengthened: "damaged: the digest at its end is not one of its length",
+    lengthened: "damaged: its digest is wrong",
     cut: "only a piece of its file|no digest at its end",
     not_hdf5: "not an HDF5 file",
     lambda path: path.unlink(): "no such file",

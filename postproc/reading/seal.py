@@ -48,26 +48,26 @@ def check_seal(path: Path, *, verify: bool = False) -> None:
     with path.open("rb") as file:  # once: it may be replaced by a longer one meanwhile
         size = os.fstat(file.fileno()).st_size
         first = file.read(PIECE)
-        file.seek(max(size - LENGTH, 0))
-        seal = file.read()
-        digest = _digest(file, size - LENGTH) if verify else ""
-    found = re.search(rb"\nsha256 ([0-9a-f]{64})\n", seal)
-    digits = found[1].decode() if found else ""
-    end = _end_in_hdf5(first)
-    lost = MARK in first and 0 <= end <= size
-    if seal == seal_of(size - LENGTH, digits):
-        if verify and digest != digits:
+        end = _end_in_hdf5(first)
+        known = MARK in first and 0 <= end <= size
+        content = end if known else max(size - LENGTH, 0)
+        file.seek(content)
+        behind = file.read(PIECE)  # the seal, whole or not, with what else is there
+        found = re.search(rb"\nsha256 ([0-9a-f]{64})\n", behind)
+        digits = found[1].decode() if found else ""
+        whole = behind == seal_of(content, digits)
+        if digits and (verify or not whole) and digits != _digest(file, content):
             raise InputError(f"{path}: damaged: its digest is wrong")
-    elif seal.startswith(FIRST_LINE.encode()) or (REMARK.encode() in seal and end == size - LENGTH):
-        raise InputError(f"{path}: damaged: the digest at its end is not one of its length")
-    elif lost and not verify:
+    if whole:
+        return
+    if known and (digits or not verify):
         message = (
             f"{path}: was changed by another program, or is of a version before 0.2.0: it has no "
             "digest at its end; it is read as it is (battery --accept FILE.nml gives it a new one)"
         )
         warnings.warn(message, stacklevel=4)
     elif MARK in first:
-        reason = "cannot be verified" if lost else "damaged"
+        reason = "cannot be verified" if known else "damaged"
         raise InputError(f"{path}: {reason}: it has no digest at its end")
     elif first.startswith(b"\x89HDF"):
         raise InputError(f"{path}: HDF5, but not written by battery, or only a piece of its file")

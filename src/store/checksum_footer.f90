@@ -29,6 +29,9 @@ module battery_checksum_footer
     parameter :: explanation = 'Before these 512 bytes is HDF5; head -c -512 FILE | ' &
     //'sha256sum gives the digits above.'
 
+  !> What stands before the digest.
+  character(len=*), parameter :: digest_word = new_line('a')//'sha256 '
+
   !> An attribute that only files of this program have, near their beginning.
   character(len=*), parameter :: mark = 'initial_file_fingerprint'
 
@@ -92,7 +95,7 @@ contains
     character(len=20) :: number
 
     write (number, '(i0)') count
-    footer = first_line//lf//'bytes '//trim(number)//lf//'sha256 '//digits//lf//explanation//lf
+    footer = first_line//lf//'bytes '//trim(number)//digest_word//digits//lf//explanation//lf
     footer(footer_length:) = lf
   end function footer_text
 
@@ -117,7 +120,6 @@ contains
     type(file_stamp_type) :: seen
     integer(int64) :: bytes, content
     integer :: status
-    logical :: has_footer
 
     if (present(lacks_footer)) lacks_footer = .false.
     if (is_folder(name)) call fatal_error(error, name//' is a folder'//leave_it, exit_bad_input)
@@ -129,8 +131,6 @@ contains
       beginning, c_int64_t), footer, digits, bytes, seen%mark)
     if (present(stamp)) stamp = seen
     content = merge(bytes - footer_length, bytes, bytes > footer_length)
-    has_footer = index(footer, first_line//new_line('a')) == 1 .or. (index(footer, explanation) &
-      > 0 .and. content == end_in_hdf5(first))
     if (content < beginning) first = first(:content)
     if (status < 0) then
       call fatal_error(error, name//' is open in another program, which may change it; ' &
@@ -140,22 +140,48 @@ contains
       error%code = exit_bad_input
     else if (footer == footer_text(content, digits)) then
       return
-    else if (has_footer) then
-      call fatal_error(error, name//' is damaged: its digest is wrong', exit_failure)
     else if (index(first, mark) > 0 .and. end_in_hdf5(first) <= bytes) then
-      ! Its footer was cut off, in part or as a whole, or something is behind it.
+      ! Its footer was cut off, in part or as a whole, or something is behind it. A digest that is left
+      ! must be that of the HDF5 before it.
+      call check_what_is_left(name, bytes - end_in_hdf5(first), error)
+      if (allocated(error)) return
       if (present(lacks_footer)) lacks_footer = .true.
       call fatal_error(error, name//' was changed by another program, or is of a version before ' &
         //'0.2.0: it has no digest at its end, which HDF5 cuts off when it opens a file for ' &
         //'writing; if the contents are still as they were, battery --accept FILE.nml takes them ' &
         //'as they are', exit_bad_input)
-    else if (may_be_results(first, bytes) .or. index(footer, explanation) > 0) then
+    else if (may_be_results(first, bytes) .or. index(footer, digest_word) > 0) then
       call fatal_error(error, name//' is damaged: it has no digest at its end', exit_failure)
     else
       call fatal_error(error, name//' is not a results file of this program'//leave_it, &
         exit_bad_input)
     end if
   end subroutine check_footer
+
+  !> Checks what is left of the footer of a results file behind its HDF5: if it has a digest, that
+  !> must be right.
+  subroutine check_what_is_left(name, behind, error)
+    !> Path of the file; number of bytes behind its HDF5.
+    character(len=*), intent(in) :: name
+    integer(int64), intent(in) :: behind
+    !> The file is damaged, code `exit_failure`, or cannot be read.
+    type(error_type), allocatable, intent(out) :: error
+    character(len=digest_length) :: digits
+    character(len=shortest) :: first
+    character(len=:), allocatable :: tail
+    integer(int64) :: bytes, seen(5), at
+
+    allocate (character(len=behind) :: tail)
+    if (c_digest_file(name//c_null_char, behind, first, int(shortest, c_int64_t), tail, digits, &
+      bytes, seen) /= 0) then
+      call fatal_error(error, name//' cannot be read to its end', exit_bad_input)
+      return
+    end if
+    at = index(tail, digest_word, kind=int64) + len(digest_word)
+    if (at == len(digest_word) .or. at + digest_length > behind) return
+    if (tail(at:at + digest_length - 1) /= digits) call fatal_error(error, name &
+      //' is damaged: its digest is wrong', exit_failure)
+  end subroutine check_what_is_left
 
   !> Checks that `--overwrite` may remove a file: a results file, whole or not. A namelist, or an
   !> HDF5 file of another program, stays.
