@@ -13,7 +13,7 @@ from postproc.cli import InputError
 from postproc.theory.circuit import PAPERS_AGE
 from postproc.theory.circuit import Circuit as Model
 from postproc.theory.models import named
-from postproc.theory.outlines import outline_of, regular, widest
+from postproc.theory.outlines import ends, is_simple, outline_of, regular, widest
 from postproc.theory.states import State
 
 if TYPE_CHECKING:
@@ -30,6 +30,7 @@ if TYPE_CHECKING:
 
 PAPERS = "window"
 MOST_SIDES = 1000  # of regular polygons, as in the program
+MOST = 2**31 - 1  # of whole numbers, as in the program
 FINEST = 2.0**-40  # least width over the longest length, as in the program
 
 
@@ -173,10 +174,9 @@ class Circuit:
         """
         own, (known,) = self.model(), named(theory)
         given = list(thresholds) if np.iterable(thresholds) else [thresholds]
-        if not all(_is_number(one) and one >= 0 and one == round(one) for one in given):
-            raise InputError(
-                f"thresholds = {reprlib.repr(given)}; allowed: whole numbers from 0 up"
-            )
+        if not all(_is_number(one) and 0 <= one <= MOST and one == round(one) for one in given):
+            told = f"allowed: whole numbers from 0 to {MOST}"
+            raise InputError(f"thresholds = {reprlib.repr(given)}; {told}")
         asked = np.asarray(given, int)
         # A gate of T = 0 lets nothing pass, and from T = N on none reverses.
         widths = np.where(asked == 0, 0.0, math.nan)
@@ -241,12 +241,32 @@ class Circuit:
             return [regular(self.urn_sides, radius) for radius in _both(self.urn_radius)]
         return [None]
 
+    def _shape(self) -> tuple[bool, str]:
+        """Return whether the corners are those of an urn, and what is allowed."""
+        (outline,) = self._outlines()
+        if outline is None or not is_simple(outline):
+            return False, "sides that do not cross or touch each other"
+        x, y = np.transpose(outline)
+        right, left = ends(outline)
+        for beyond, length, width in (
+            (x - right, self.channel1_length, self.channel1_width),
+            (left - x, self.channel2_length, self.channel2_width),
+        ):
+            within = (beyond > 0.0) & (np.abs(y) <= 0.5 * width)
+            if width > 0.0 and (beyond.max() >= 0.5 * length or within.any()):
+                return False, "corners beside a channel, short of its middle"
+        return True, ""
+
     def _problems(self) -> list[str]:
         """Return what is wrong with the values, a line for each."""
         given = asdict(self)
-        rules = [("number", _is_whole(self.number, 1), "a whole number from 1 up")]
+        rules = [("number", _is_whole(self.number, 1), f"a whole number from 1 to {MOST}")]
         for key, allowed, good in (
-            ("threshold", "one whole number from 0 up, or two", lambda one: _is_whole(one, 0)),
+            (
+                "threshold",
+                f"one whole number from 0 to {MOST}, or two",
+                lambda one: _is_whole(one, 0),
+            ),
             ("urn_radius", "one number above 0, or two", _is_length),
         ):
             values = given[key] if isinstance(given[key], tuple) else (given[key],)
@@ -265,6 +285,8 @@ class Circuit:
             ("channel1_length", _is_length(self.channel1_length), "one number above 0"),
             ("channel2_length", _is_length(self.channel2_length), "one number above 0"),
         ]  # fmt: skip
+        if all(good for _, good, _ in rules) and corners is not None:
+            rules.append(("urn_vertices", *self._shape()))
         if all(good for _, good, _ in rules):
             diameter = min(2.0 * radius if outline is None else widest(outline)
                            for radius in _both(self.urn_radius)
@@ -292,7 +314,7 @@ def _both(value: Any) -> tuple[Any, Any]:  # noqa: ANN401 (a number, or a sequen
 def _is_whole(value: object, least: int) -> bool:
     if isinstance(value, bool) or not isinstance(value, (int, np.integer)):
         return False
-    return bool(value >= least)
+    return bool(least <= value <= MOST)
 
 
 def _is_number(value: object) -> bool:

@@ -569,6 +569,11 @@ def test_edited_initial_file(tmp_path: Path, seconds: float) -> None:
     ended = run("case.nml", folder=tmp_path)
     assert ended.returncode == 2, ended.stdout
     assert "start.txt" in ended.stderr
+    # Also beside a change that is allowed.
+    write(tmp_path, particles={"number": 5, "initial_file": "'start.txt'"},
+          scan={"replicas": 1, "threshold": "1, 2"})  # fmt: skip
+    ended = run("case.nml", folder=tmp_path)
+    assert (ended.returncode, "'start.txt' has other contents now" in ended.stderr) == (2, True)
 
 
 def test_overwrite_with_fewer_tasks(tmp_path: Path, interrupted: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
@@ -23,6 +24,7 @@ KNOWN = {
     "table": ("urn_radius", "channel1_width", "channel1_length", "channel2_width",
               "channel2_length"),
     "gate": ("threshold", "threshold_fraction"),
+    "particles": ("number", "urn1_number", "urn1_fraction", "seed", "initial_file"),
 }  # fmt: skip
 
 
@@ -70,6 +72,8 @@ def advice_on(
         if not (isinstance(value, (int, float)) and low <= value <= high):
             told = f"must be a number from {low:g} to {high:g}"
             raise cli.InputError(f"{name} = {value!r}: {told}")
+    if circuit.outline is not None:
+        raise cli.InputError("there is no advice on polygons")
     if quantity != "chi" and np.all(np.equal(circuit.channel2_width, 0.0)):
         raise cli.InputError(f"without channel 2 there is no {quantity}")
     return advice.advise(groups, circuit, quantity, tolerance, longest=pilot_seconds)
@@ -77,6 +81,37 @@ def advice_on(
 
 def circuit_of(namelist: str | Path | Groups) -> tuple[Groups, Circuit]:
     """Return the groups table, particles and gate of a namelist of one circuit, and the circuit."""
+    path, groups = _of_one_point(namelist)
+    particles, gate = groups.get("particles", {}), dict(groups.get("gate", {}))
+    if particles.get("initial_file"):
+        raise cli.InputError(f"{path}: there is no advice on &particles initial_file")
+    number = particles.get("number")
+    if not isinstance(number, int) or number < 1:
+        raise cli.InputError(f"{path}: &particles number is wanted, a whole number")
+    table = dict(groups.get("table", {}))
+    (one, *other), thresholds, fractions = (
+        value if isinstance(value, list) else [value]
+        for value in (table.pop("urn_radius", 1.0), gate.get("threshold", []),
+                      gate.get("threshold_fraction", []))
+    )  # fmt: skip
+    thresholds = thresholds or [_nearest(fraction * number) for fraction in fractions]
+    if not thresholds:
+        raise cli.InputError(f"{path}: &gate threshold is wanted")
+    first, *second = thresholds
+    circuit = Circuit(
+        number, first, urn_radius=one, **table,
+        urn2_radius=other[0] if other else None, gate2_threshold=second[0] if second else None,
+    )  # fmt: skip
+    own = table_of(circuit)
+    share = particles.get("urn1_fraction")
+    start = particles.get("urn1_number") if share is None else _nearest(share * number)
+    if start is not None:
+        own["particles"]["urn1_number"] = start
+    return own, circuit
+
+
+def _of_one_point(namelist: str | Path | Groups) -> tuple[str, dict[str, Any]]:
+    """Return name and groups of a namelist, with what it scans, of one value, in their groups."""
     path, groups = _groups_of(namelist)
     for name, keys in KNOWN.items():
         strange = sorted(set(groups.get(name, {})) - set(keys))
@@ -86,35 +121,18 @@ def circuit_of(namelist: str | Path | Groups) -> tuple[Groups, Circuit]:
             raise cli.InputError(f"{path}: there is no advice on &{name} {strange[0]}")
     scanned = {key: value for key, value in groups.get("scan", {}).items() if key != "replicas"}
     for key, value in scanned.items():
-        group = next((name for name, keys in KNOWN.items() if key in keys), "particles")
+        group = next((name for name, keys in KNOWN.items() if key in keys), "")
+        if not group:
+            raise cli.InputError(f"{path}: there is no advice on &scan {key}")
         if isinstance(value, list) or key.endswith("_range"):
             raise cli.InputError(f"{path}: &scan {key}: there is advice on one point only")
         groups.setdefault(group, {})[key] = value
-    particles, gate = groups.get("particles", {}), dict(groups.get("gate", {}))
-    if particles.get("initial_file"):
-        raise cli.InputError(f"{path}: there is no advice on &particles initial_file")
-    number = particles.get("number")
-    if not isinstance(number, int) or number < 1:
-        raise cli.InputError(f"{path}: &particles number is wanted, a whole number")
-    fraction = gate.pop("threshold_fraction", None)
-    threshold = gate.get("threshold", None if fraction is None else round(fraction * number))
-    if threshold is None:
-        raise cli.InputError(f"{path}: &gate threshold is wanted")
-    table = dict(groups.get("table", {}))
-    (one, *other), (first, *second) = (
-        value if isinstance(value, list) else [value]
-        for value in (table.pop("urn_radius", 1.0), threshold)
-    )
-    circuit = Circuit(
-        number, first, urn_radius=one, **table,
-        urn2_radius=other[0] if other else None, gate2_threshold=second[0] if second else None,
-    )  # fmt: skip
-    own = table_of(circuit)
-    share = particles.get("urn1_fraction")
-    start = particles.get("urn1_number") if share is None else round(share * number)
-    if start is not None:
-        own["particles"]["urn1_number"] = start
-    return own, circuit
+    return path, groups
+
+
+def _nearest(number: float) -> int:
+    """Return the nearest whole number, of two the greater, as the program does."""
+    return math.floor(number + 0.5)
 
 
 def _groups_of(namelist: str | Path | Groups) -> tuple[str, dict[str, Any]]:

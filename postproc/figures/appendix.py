@@ -122,8 +122,9 @@ def figure_urn_difference(points: xr.Dataset, models: Sequence[Model] = ()) -> F
     """
     models = models or default(points)
     count = np.unique(points["number"]).size
-    made = style.figure(style.PAGE if count > 1 else 4.4, 5.6)
-    panels = made.subplots(2, count, squeeze=False, sharex=True, sharey="row")
+    rows = min(len(models), 2)
+    made = style.figure(style.PAGE if count > 1 else 4.4, 2.8 * rows)
+    panels = made.subplots(rows, count, squeeze=False, sharex=True, sharey="row")
     beyond, unknown = [], 0
     for group in _groups(points):
         (mark, colour), row = _look(group.column), group.row
@@ -132,7 +133,7 @@ def figure_urn_difference(points: xr.Dataset, models: Sequence[Model] = ()) -> F
             expected = group.theory(model, group.threshold)
             difference, error = relative_difference(group.current, group.error, expected)
             lines = {"color": colour, "lw": 0.7, "ms": 4.4, "marker": mark, "ls": model.dashes}
-            chosen = [axes for axes, shown in zip(panels[:, row], (at < 2, at > 0), strict=True)
+            chosen = [axes for axes, shown in zip(panels[:, row], (at < 2, at > 0), strict=False)
                       if shown]  # fmt: skip
             for axes in chosen:
                 axes.errorbar(fraction, difference, error, **lines, **fill)
@@ -149,7 +150,7 @@ def figure_urn_difference(points: xr.Dataset, models: Sequence[Model] = ()) -> F
         panels[0, 0].plot([], [], label=f"theory, {model.label}", **look, **fill)
     for number, column in zip(np.unique(points["number"]), panels.T, strict=True):
         column[0].set_title(f"$N = {number:.0f}$")
-        style.label_fraction(column[1])
+        style.label_fraction(column[-1])
     for axes in panels.flat:
         axes.axhline(0.0, color=style.BLACK, lw=0.6)
     low, high = panels[0, 0].get_ylim()

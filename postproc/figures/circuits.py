@@ -368,7 +368,7 @@ def draw_characteristic(axes: Axes, points: xr.Dataset, models: Sequence[Model])
     axes.set(xlabel="net current $J$ (per unit time)", ylabel=r"$U = \ln(n_2/n_1)$")
     axes.set_ylim(bottom=0.0)
     right.set_ylabel("power $J U$", color=style.ORANGE)
-    right.set_ylim(bottom=0.0)
+    right.set_ylim(bottom=min(0.0, right.get_ylim()[0] * (power < 0.0).any()))
     return [shown.lines[0], line]
 
 

@@ -73,6 +73,8 @@ def mean_error(values: xr.DataArray, own_error: xr.DataArray | None = None) -> x
     if not (isinstance(values, xr.DataArray) and "replica" in values.dims):
         found = getattr(values, "dims", type(values).__name__)
         raise InputError(f"values: a variable with the dimension replica, not {found}")
+    if values.sizes["replica"] == 0:
+        raise InputError("values: there is no replica")
     good = values.notnull() & (abs(values) < math.inf)
     count = good.sum("replica")
     scatter = values.where(count > 1).std("replica", ddof=1) / np.sqrt(count.where(count > 1))
@@ -86,6 +88,8 @@ def flat(data: xr.Dataset, *needed: str) -> xr.Dataset:
     """Return a dataset with one dimension `point` in place of the scan's keys."""
     if not (isinstance(data, xr.Dataset) and {"task", "number", *needed} <= set(data.variables)):
         raise InputError("data: must be a dataset that postproc.open_results or merge returns")
+    if data.sizes.get("replica", 1) == 0:
+        raise InputError("data: has no replica")
     if "replica" not in data.dims:  # one that was chosen
         by_point = {name for name in data if set(data[name].dims) <= set(data["task"].dims)
                     and name in (*PARAMETERS, "point_status")}  # fmt: skip
@@ -110,6 +114,10 @@ def by_point(data: xr.Dataset) -> xr.Dataset:
     """
     points = flat(data, "task_status")
     known = [name for name in PARAMETERS if name in points]
+    lost = [name for name in known if "replica" in points[name].dims or points[name].isnull().any()]
+    if lost:
+        told = "choose points by sel, isel, or where with drop=True"
+        raise InputError(f"data: {lost[0]} is not known at every point; {told}")
     keys = [str(name) for name in data["task"].dims if name not in ("replica", "point")] or known
     size, status = points.sizes["point"], points["task_status"]
     columns = {name: ("point", np.broadcast_to(points[name].values, size))

@@ -249,11 +249,20 @@ class Page:
         return made
 
     def _curve(self, name: str) -> figure:
-        made = self._figure(name, f"{self.measured[name]}, standard errors")
+        known = [self.columns[key] for key in (name, f"{name}_low", f"{name}_high",
+                 *(f"{model}_{name}" for model in self.models)) if key in self.columns]  # fmt: skip
+        low, high = float(np.nanmin(known)), float(np.nanmax(known))
+        more = 0.05 * (high - low) or 0.05
+        made = self._figure(
+            name, f"{self.measured[name]}, standard errors", y_range=(low - more, high + more)
+        )
         for model, mark in zip(self.models, THEORY_MARKS, strict=False):
             if f"{model}_{name}" in self.columns:
-                made.scatter(self.scan.across, f"{model}_{name}", source=self.points, size=10,
-                             marker=mark, line_color="#333333", line_width=1.5)  # fmt: skip
+                theory = made.scatter(
+                    self.scan.across, f"{model}_{name}", source=self.points, size=10, marker=mark,
+                    line_color="#333333", line_width=1.5,
+                )  # fmt: skip
+                theory.nonselection_glyph = None
         made.add_layout(
             Whisker(base=self.scan.across, lower=f"{name}_low", upper=f"{name}_high",
                     source=self.points)

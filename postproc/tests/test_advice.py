@@ -92,6 +92,7 @@ def test_a_namelist_and_the_same_circuit_by_options(
     [
         (CASE.replace("&table", "&table urn_sides = 8,"), "&table urn_sides"),
         (CASE.replace("replicas = 4", "threshold = 3, 4, 5"), "one point only"),
+        (CASE.replace("replicas = 4", "urn_radius2 = 0.8"), "no advice on &scan urn_radius2"),
         (CASE.replace("number = 100", ""), "number is wanted"),
         (CASE.replace("number = 100", "number = 100, initial_file = 'a'"), "initial_file"),
     ],
@@ -103,6 +104,19 @@ def test_what_there_is_no_advice_on(
     file.write_text(text)
     assert call("advise", [str(file)]) == 2
     assert wrong in capsys.readouterr().err
+
+
+def test_there_is_no_advice_on_polygons_by_options(capsys: pytest.CaptureFixture[str]) -> None:
+    words = ["--number", "100", "--threshold", "2", "--urn-sides", "4"]
+    assert call("advise", words) == 2
+    assert "there is no advice on polygons" in capsys.readouterr().err
+
+
+def test_fractions_are_rounded_as_in_the_program() -> None:
+    particles = {"number": 100, "urn1_fraction": 0.105}
+    groups, circuit = circuit_of({"particles": particles,
+                                  "gate": {"threshold_fraction": [0.025, 0.05]}})  # fmt: skip
+    assert (groups["particles"]["urn1_number"], circuit.thresholds) == (11, "3, 5")
 
 
 @pytest.mark.parametrize(("name", "value"), [("tolerance", 0), ("tolerance", "a"),

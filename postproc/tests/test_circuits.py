@@ -121,13 +121,15 @@ def test_from_all_particles_on_a_gate_lets_all_through(theory: str, threshold: i
     assert circuit.eta(0.0, theory) == pytest.approx(free)
 
 
+BOW = (1.0, -1.0, -1.0, 1.0, 1.0, 1.0, -1.0, -1.0)
+HOOK = (1.0, -1.0, 1.0, 0.5, 3.0, 0.5, 3.0, 2.0, -1.0, 1.0, -1.0, -1.0)
 SQUARE = (1.0, -1.0, 1.0, 1.0, -1.0, 1.0, -1.0, -1.0)
 
 
 @pytest.mark.parametrize(
     ("given", "message"),
     [
-        ({"threshold": -3}, "threshold = -3; allowed: one whole number from 0 up, or two"),
+        ({"threshold": -3}, "threshold = -3; allowed: one whole number from 0 to 2147483647"),
         ({"channel2_width": 2.5}, "channel2_width = 2.5; allowed: 0, or one number from 1.8e-12"),
         ({"urn_radius": (1.0, 0.1)}, "channel1_width = 0.3; allowed: one number from 9.1e-13"),
         ({"channel1_width": 1e-320}, "channel1_width = 1e-320; allowed: one number from 1.8"),
@@ -135,6 +137,10 @@ SQUARE = (1.0, -1.0, 1.0, 1.0, -1.0, 1.0, -1.0, -1.0)
             {"urn_vertices": (math.nan, -1, 1, 1, -1, 1)},
             "urn_vertices = (nan, -1, 1, 1, -1",
         ),
+        ({"urn_vertices": BOW}, "allowed: sides that do not cross or touch each other"),
+        ({"urn_vertices": (*SQUARE[:2], *SQUARE)}, "allowed: sides that do not cross or touch"),
+        ({"urn_vertices": HOOK, "channel1_length": 0.2}, "allowed: corners beside a channel"),
+        ({"number": 10**400}, "allowed: a whole number from 1 to 2147483647"),
         ({"urn_vertices": 5}, "urn_vertices = 5; allowed: two numbers for each"),
         ({"urn_vertices": SQUARE, "urn_radius": 2.0}, "urn_radius = 2.0; allowed: only without"),
         ({"number": 1.5, "urn_sides": 5}, "urn_sides = 5; allowed: even numbers from 4 to 1000"),

@@ -42,6 +42,30 @@ def _enclosed(outline: Outline) -> float:
     return 0.5 * float(np.sum(x * np.roll(y, -1) - y * np.roll(x, -1)))
 
 
+def is_simple(outline: Outline) -> bool:
+    """Return whether no corner is repeated, and sides do not cross or touch each other."""
+    corners = np.asarray(outline)
+    sides = np.stack([corners, np.roll(corners, -1, axis=0)], axis=1)
+    count, low, high = len(sides), sides.min(axis=1), sides.max(axis=1)
+    if (sides[:, 0] == sides[:, 1]).all(axis=1).any():
+        return False
+    for k in range(count - 2):
+        later = np.arange(k + 2, count - (k == 0))
+        (a, b), (c, d) = sides[k], np.swapaxes(sides[later], 0, 1)
+        beside = _turn(a, b, c) * _turn(a, b, d) > 0.0
+        beside |= _turn(c, d, a) * _turn(c, d, b) > 0.0
+        apart = (low[later] > high[k]).any(axis=1) | (high[later] < low[k]).any(axis=1)
+        if not (beside | apart).all():
+            return False
+    return True
+
+
+def _turn(a: Floats, b: Floats, c: Floats) -> Floats:
+    """Return the sign of the turn from b - a to c - a."""
+    (x1, y1), (x2, y2) = (b - a).T, (c - a).T
+    return np.sign(x1 * y2 - y1 * x2)
+
+
 def opening_side(outline: Outline, way: float) -> int | None:
     """Return the side that the axis crosses last to the right (1) or to the left (-1).
 

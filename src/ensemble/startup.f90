@@ -455,9 +455,12 @@ contains
     keys = differing_keys(before%settings, plan%settings)
     same = keys == '' .and. initial_fingerprint == plan%initial_fingerprint
     if (same) return
-    if (keys == '') then
-      keys = '&particles initial_file: '''//plan%initial_file//''' has other contents now'
-    else if (.not. allocated(wrong)) then
+    if (initial_fingerprint /= plan%initial_fingerprint) then
+      if (keys /= '') keys = keys//new_line_character
+      keys = keys//'&particles initial_file: '''//plan%initial_file//''' has other contents now'
+    else if (allocated(wrong)) then
+      keys = keys//new_line_character//wrong%message
+    else
       if (has_all_of(plan, before)) return
     end if
     longer = ''
