@@ -141,8 +141,8 @@ contains
     else if (footer == footer_text(content, digits)) then
       return
     else if (index(first, mark) > 0 .and. end_in_hdf5(first) <= bytes) then
-      ! Its footer was cut off, in part or as a whole, or something is behind it. A digest that is left
-      ! must be that of the HDF5 before it.
+      ! Its footer was cut off, in part or as a whole, or something is behind it. A digest that is
+      ! left must be that of the HDF5 before it.
       call check_what_is_left(name, bytes - end_in_hdf5(first), error)
       if (allocated(error)) return
       if (present(lacks_footer)) lacks_footer = .true.

@@ -30,9 +30,9 @@ program reversal_times
     begin = engine%clock()
     call engine%advance(duration - begin, event_record)
     do event = 1, event_record%events
-      if (event_record%event_kind(event) /= event_reversal) cycle
-      time = begin + event_record%event_time(event)
-      associate (before => last(event_record%event_where(event)))
+      if (event_record%event(event)%kind /= event_reversal) cycle
+      time = begin + event_record%event(event)%time
+      associate (before => last(event_record%event(event)%where))
         if (before >= 0.0_wp) waits = [waits, time - before]
         before = time
       end associate
