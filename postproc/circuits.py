@@ -288,17 +288,18 @@ class Circuit:
         if all(good for _, good, _ in rules) and corners is not None:
             rules.append(("urn_vertices", *self._shape()))
         if all(good for _, good, _ in rules):
-            diameter = min(2.0 * radius if outline is None else widest(outline)
+            least = FINEST * max(*_both(self.urn_radius), self.channel1_length,
+                                 self.channel2_length)  # fmt: skip
+            for key, value, way, zero in (
+                ("channel1_width", self.channel1_width, 1.0, ""),
+                ("channel2_width", self.channel2_width, -1.0, "0, or "),
+            ):
+                most = min(2.0 * radius if outline is None else widest(outline, way)
                            for radius in _both(self.urn_radius)
                            for outline in self._outlines())  # fmt: skip
-            discs = corners is None and sides is None
-            below = f"below 2r = {diameter:g}" if discs else f"below {diameter:g}, a vertical side"
-            least = FINEST * max(diameter, self.channel1_length)
-            for key, value, zero in (
-                ("channel1_width", self.channel1_width, ""),
-                ("channel2_width", self.channel2_width, "0, or "),
-            ):
-                fits = _is_length(value) and least <= value < diameter
+                discs = corners is None and sides is None
+                below = f"below 2r = {most:g}" if discs else f"below {most:g}, an upright side"
+                fits = _is_length(value) and least <= value < most
                 rules.append((key, fits or bool(zero and value == 0),
                               f"{zero}one number from {least:.1e} up and {below}"))  # fmt: skip
         return [f"{key} = {given[key]}; allowed: {allowed}"

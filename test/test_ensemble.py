@@ -569,6 +569,7 @@ def test_edited_initial_file(tmp_path: Path, seconds: float) -> None:
     ended = run("case.nml", folder=tmp_path)
     assert ended.returncode == 2, ended.stdout
     assert "start.txt" in ended.stderr
+    assert ended.stderr.count("initial_file") == 1
     # Also beside a change that is allowed.
     write(tmp_path, particles={"number": 5, "initial_file": "'start.txt'"},
           scan={"replicas": 1, "threshold": "1, 2"})  # fmt: skip

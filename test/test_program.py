@@ -449,6 +449,15 @@ def test_summary_tells_points_apart(tmp_path: Path) -> None:
     )
 
 
+def test_the_command_for_all_points_can_be_typed(tmp_path: Path) -> None:
+    write(tmp_path, scan={"threshold_range": "1, 13, 13"}, output={"file": "'out.h5'"})
+    (line,) = (line for line in run("case.nml", folder=tmp_path).stdout.splitlines()
+               if line.startswith("all points: "))  # fmt: skip
+    command = line.removeprefix("all points: ").split()
+    typed = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=True)
+    assert len(typed.stdout.splitlines()) == 1 + 13
+
+
 def test_run_too_short_for_an_error_has_none_and_says_so(tmp_path: Path) -> None:
     """Directions relax in 32 time units here: a run of ten times that has errors, half has none."""
     wide = {"channel1_width": "0.9", "channel2_width": "0.6"}

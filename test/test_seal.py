@@ -60,11 +60,29 @@ def cut(path: Path, size: int) -> None:
     path.write_bytes(path.read_bytes()[:size])
 
 
+def blanked_digit(path: Path) -> None:
+    """Write a blank over a digit of the digest."""
+    content = bytearray(path.read_bytes())
+    content[content.rindex(b"sha256 ", 0, content.rindex(b"Before these")) + 9] = ord(" ")
+    path.write_bytes(content)
+
+
+def whole_length(path: Path) -> None:
+    """Let HDF5 take the digest for a part of its data."""
+    content = bytearray(path.read_bytes())
+    content[40:48] = len(content).to_bytes(8, "little")
+    path.write_bytes(content)
+
+
 DAMAGES: dict[str, Callable[[Path], object]] = {
     "half": lambda path: cut(path, path.stat().st_size // 2),
     "no seal": lambda path: cut(path, -SEAL - 1),
     "a bit, and one byte more": lambda path: (flip(path, 8 * 4001), lengthened(path)),
     "a bit, and one byte less": lambda path: (flip(path, 8 * 4001), shortened(path)),
+    "a bit, and a digit of the digest": lambda path: (flip(path, 8 * 4001), blanked_digit(path)),
+    "version of HDF5": lambda path: flip(path, 8 * 8),
+    "length in HDF5, negative": lambda path: flip(path, 8 * 47 + 7),
+    "length in HDF5, that of the file": whole_length,
     "empty": lambda path: cut(path, 0),
     "first block of zeros": lambda path: zero(path, 0, 4096),
     "block of zeros in the middle": lambda path: zero(path, path.stat().st_size // 8192 * 4096, 64),

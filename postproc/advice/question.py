@@ -94,6 +94,8 @@ def circuit_of(namelist: str | Path | Groups) -> tuple[Groups, Circuit]:
         for value in (table.pop("urn_radius", 1.0), gate.get("threshold", []),
                       gate.get("threshold_fraction", []))
     )  # fmt: skip
+    if thresholds and fractions:
+        raise cli.InputError(f"{path}: &gate threshold is given beside threshold_fraction")
     thresholds = thresholds or [_nearest(fraction * number) for fraction in fractions]
     if not thresholds:
         raise cli.InputError(f"{path}: &gate threshold is wanted")

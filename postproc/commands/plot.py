@@ -109,13 +109,14 @@ def main(arguments: list[str] | None = None) -> int:
             raise cli.InputError(f"figure {given.name} needs at least one file of results")
         style.save(FIGURES[name](), given.output, given.name)
         return 0
-    data = dataset_of(given.files, verify=given.verify)
-    points = by_point(selected(data, dict(given.select)))
+    data = selected(dataset_of(given.files, verify=given.verify), dict(given.select))
+    points = by_point(data)
     task_of(points, given.point, given.replica)  # refuses a task that is not there
     # A task that was chosen is all that there is, for any figure.
     chosen = {key: vars(given)[key] for key in ("point", "replica") if vars(given)[key] is not None}
-    points = with_tasks(points.isel({key: [value] for key, value in chosen.items()}))
-    points["two_states"] &= given.replica is None  # one replica is in one
+    if given.replica is not None:
+        points = by_point(data.isel(replica=[given.replica]))
+    points = with_tasks(points if given.point is None else points.isel(point=[given.point]))
     shape = str(points.attrs.get("shape", "circuit"))
     if (shape == "urn") != name.startswith("urn") and name not in ANY_SHAPE:
         raise cli.InputError(f"{files_of(points)}: a run of shape '{shape}', not of "

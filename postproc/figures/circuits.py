@@ -28,7 +28,7 @@ from postproc.reading.points import (
     keys_of,
     means,
     need_only,
-    seconds_of,
+    second_values,
     with_tasks,
 )
 
@@ -72,7 +72,7 @@ def few_points(points: xr.Dataset) -> xr.Dataset:
 def title(points: xr.Dataset, at: int) -> str:
     """Return what distinguishes a point: the keys of the scan, or N, T, w and w'."""
     names = [name for name in keys_of(points) if name not in STARTS]
-    names += [*seconds_of(points), *["start"] * (np.unique(points["start"]).size > 1)]
+    names += [*second_values(points), *["start"] * (np.unique(points["start"]).size > 1)]
     names = names or ["number", "threshold", "channel1_width", "channel2_width"]
     return ", ".join(equals(name, float(points[name][at])) for name in names)
 
@@ -141,13 +141,13 @@ def starts_of(points: xr.Dataset) -> list[float]:
     return (points["number"] - points["urn1_number"]).values.astype(float).tolist()
 
 
-def mass_spread(series: xr.Dataset, number: float, start: float) -> tuple[Floats, Floats]:
+def mass_spread_of(series: xr.Dataset, number: float, start: float) -> tuple[Floats, Floats]:
     """Return the start and the ends of intervals, and chi at these times."""
     first = np.append(start, series["urn1_number"])
     return np.append(0.0, series["time"]), np.abs(number - 2.0 * first) / number
 
 
-def through2(series: xr.Dataset, number: float, start: float) -> tuple[Floats, Floats]:
+def polarised_current_of(series: xr.Dataset, number: float, start: float) -> tuple[Floats, Floats]:
     """Return the middles of intervals, and the current of channel 2 from the urn fuller then.
 
     At the end those that crossed are missing from the urn that they left, which is less often the
@@ -161,8 +161,8 @@ def through2(series: xr.Dataset, number: float, start: float) -> tuple[Floats, F
 # What is drawn against time: its label, how it is found, steps along the axis, theory's field, and
 # the values that it can have.
 QUANTITIES = {
-    "chi": (r"mass spread $\chi$", mass_spread, STEPS, "mass_spread", (0.0, 1.0)),
-    "polarised_current": ("polarised current\n(per unit time)", through2, STEPS // 8,
+    "chi": (r"mass spread $\chi$", mass_spread_of, STEPS, "mass_spread", (0.0, 1.0)),
+    "polarised_current": ("polarised current\n(per unit time)", polarised_current_of, STEPS // 8,
                           "net_current", (-np.inf, np.inf)),
 }  # fmt: skip
 MARGIN = 0.03  # of the axis of chi, for lines at its ends

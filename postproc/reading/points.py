@@ -141,7 +141,7 @@ def keys_of(points: xr.Dataset) -> dict[str, NDArray[np.generic]]:
             if one.dims == ("point",) and np.unique(one).size > 1}  # fmt: skip
 
 
-def seconds_of(points: xr.Dataset) -> dict[str, NDArray[np.generic]]:
+def second_values(points: xr.Dataset) -> dict[str, NDArray[np.generic]]:
     """Return the values of gate 2 and urn 2 where they differ from those of 1, unless scanned."""
     pairs = ((f"{name}2", name) for name in ("threshold", "urn_radius"))
     return {second: points[second].values for second, first in pairs

@@ -38,28 +38,34 @@ def check_seal(path: Path, *, verify: bool = False) -> None:
     """Raise `InputError` unless a file ends with a seal for its length.
 
     A file that another program has opened for writing has lost its seal; it may still be whole, so
-    there is only a warning.
+    there is only a warning. A digest that is left behind the HDF5 must be right.
 
     Parameters
     ----------
     path : the file.
-    verify : whether to read the whole file, and require its digest.
+    verify : whether to read the whole file, and require its digest. One whose seal is not as it was
+        written is read whole in any case.
     """
     with path.open("rb") as file:  # once: it may be replaced by a longer one meanwhile
         size = os.fstat(file.fileno()).st_size
         first = file.read(PIECE)
         end = _end_in_hdf5(first)
-        known = MARK in first and 0 <= end <= size
-        content = end if known else max(size - LENGTH, 0)
+        file.seek(max(size - LENGTH, 0))
+        last = file.read()
+        if in_place := last.startswith(FIRST_LINE.encode()):
+            content = size - LENGTH
+        else:  # it was cut off, in part or as a whole, or something is behind it
+            content = end if MARK in first and 0 < end <= size else size
         file.seek(content)
-        behind = file.read(PIECE)  # the seal, whole or not, with what else is there
-        found = re.search(rb"\nsha256 ([0-9a-f]{64})\n", behind)
-        digits = found[1].decode() if found else ""
-        whole = behind == seal_of(content, digits)
+        digits = _digest_in(file.read(PIECE))
+        whole = last == seal_of(size - LENGTH, digits)
         if digits and (verify or not whole) and digits != _digest(file, content):
             raise InputError(f"{path}: damaged: its digest is wrong")
     if whole:
         return
+    known = MARK in first and content == end
+    if in_place and not (known and digits):
+        raise InputError(f"{path}: damaged: its digest is wrong")
     if known and (digits or not verify):
         message = (
             f"{path}: was changed by another program, or is of a version before 0.2.0: it has no "
@@ -73,6 +79,12 @@ def check_seal(path: Path, *, verify: bool = False) -> None:
         raise InputError(f"{path}: HDF5, but not written by battery, or only a piece of its file")
     else:
         raise InputError(f"{path}: not an HDF5 file")
+
+
+def _digest_in(behind: bytes) -> str:
+    """Return the digest in what is left of a seal; "" if there is none."""
+    found = re.search(rb"\nsha256 ([0-9a-f]{64})\n", behind)
+    return found[1].decode() if found else ""
 
 
 def _digest(file: BinaryIO, count: int) -> str:

@@ -13,7 +13,7 @@ import f90nml
 import numpy as np
 
 from postproc.cli import InputError
-from postproc.figures.circuits import mass_spread, through2
+from postproc.figures.circuits import mass_spread_of, polarised_current_of
 from postproc.figures.maps import (
     THRESHOLDS,
     axes_of,
@@ -23,7 +23,7 @@ from postproc.figures.maps import (
     transition_lines,
 )
 from postproc.reading.groups import each_series
-from postproc.reading.points import current_name, groups, keys_of, seconds_of
+from postproc.reading.points import current_name, groups, keys_of, second_values
 from postproc.reading.table import table
 
 if TYPE_CHECKING:
@@ -52,13 +52,13 @@ ROOM = 250_000  # samples of all series together
 class Scan:
     """The scan of a run: its keys, with the value at each point, and those along axes, or "".
 
-    `seconds` are the values of gate 2 and urn 2 where they differ from those of 1.
+    `second_values` are those of gate 2 and urn 2 where they differ from those of 1.
     """
 
     keys: Columns
     across: str
     up: str
-    seconds: Columns
+    second_values: Columns
 
     @property
     def others(self) -> list[str]:
@@ -70,7 +70,7 @@ def scanned(points: xr.Dataset) -> Scan:
     """Return the scan; T is the horizontal axis of maps and w' the vertical one, if scanned."""
     keys = keys_of(points)
     across, up = axes_of(list(keys))
-    return Scan(keys, across or next(iter(keys), ""), up, seconds_of(points))  # starts alone
+    return Scan(keys, across or next(iter(keys), ""), up, second_values(points))  # starts alone
 
 
 def label(name: str) -> str:
@@ -86,7 +86,7 @@ def rounded(values: Floats, digits: int = 5) -> Floats:
 def points_of(points: xr.Dataset, scan: Scan, models: dict[str, Model]) -> Columns:
     """Return the columns of the points: keys, measured values and errors, theory, their text."""
     columns = {name: values if values.dtype.kind == "i" else rounded(values)
-               for name, values in (scan.keys | scan.seconds).items()}  # fmt: skip
+               for name, values in (scan.keys | scan.second_values).items()}  # fmt: skip
     columns["start"], found = rounded(points["start"].values), table(points, theory=list(models))
     for name, source in (("chi", "chi"), ("current", current_name(points))):
         columns[name] = rounded(found[source])
@@ -117,7 +117,7 @@ def points_of(points: xr.Dataset, scan: Scan, models: dict[str, Model]) -> Colum
 def _summary(scan: Scan, columns: Columns, at: int, *, apart: bool) -> str:
     """Return the line about a point: its keys and measured values, or that replicas are apart."""
     place = [f"{SYMBOLS.get(name, name)} = {columns[name][at]:.5g}"
-             for name in scan.keys | scan.seconds]  # fmt: skip
+             for name in scan.keys | scan.second_values]  # fmt: skip
     found = [
         f"{name} {columns[name][at]:.4g} ± {columns[f'{name}_error'][at]:.1g}".replace(
             "± nan", "(error not known)"
@@ -216,7 +216,8 @@ def thinned_series(points: xr.Dataset) -> tuple[Floats, Columns]:
     current = spread.copy()
     for task, one in found.items():
         own, at = one["time"].values, task[0]
-        chi, flows = (known(one, number[at], start[at])[1] for known in (mass_spread, through2))
+        chi, flows = (find(one, number[at], start[at])[1]
+                      for find in (mass_spread_of, polarised_current_of))  # fmt: skip
         if points.attrs.get("shape") == "urn":
             flows = (one["flow1_12"] - one["flow1_21"]).values
         past = np.minimum(np.searchsorted(own, time[chosen], side="left"), own.size - 1)

@@ -294,7 +294,7 @@ class Page:
 
     def table(self) -> DataTable:
         """Return the table of all points, which sorts."""
-        heads = {name: data.label(name) for name in self.scan.keys | self.scan.seconds}
+        heads = {name: data.label(name) for name in self.scan.keys | self.scan.second_values}
         if not self.urn:
             heads["start"] = "start chi"
         for name in self.measured:
@@ -346,7 +346,7 @@ class Page:
         many = self.given.sizes["replica"] > MOST
         made = self._figure(
             f"series_{name}",
-            f"{title}, mean and standard deviation of replicas" if many else title,
+            f"{title} (orange: mean and standard deviation of replicas)" if many else title,
             x_range=(0.0, time[-1]),
             y_range=(known.min(initial=0.0), known.max(initial=1.0)),
         )

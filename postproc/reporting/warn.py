@@ -113,7 +113,7 @@ def explanations(points: xr.Dataset) -> list[str]:
             "states. A mean of both would be a third, so none is shown."
         )
     excess, error = _excess(points)
-    above = excess[excess > np.maximum(EXCESS, DRIFT * error)]
+    above = excess[excess > np.fmax(EXCESS, DRIFT * error)]
     if above.size:
         found.append(
             f"At {above.size} of {count} points the net current is more than chi accounts "

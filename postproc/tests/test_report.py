@@ -18,7 +18,7 @@ from selenium.webdriver.support.ui import WebDriverWait
 
 from postproc.cli import InputError
 from postproc.figures import film
-from postproc.figures.circuits import through2
+from postproc.figures.circuits import polarised_current_of
 from postproc.reading.groups import Snapshot, series_of
 from postproc.reading.points import by_point, means, remark
 from postproc.reporting import data, report, warn
@@ -103,7 +103,7 @@ def test_columns_say_what_the_file_says(run_file: Path) -> None:
     (own,) = series_of(results, 3, 1)
     assert spread[3, 1, -1] == pytest.approx(abs(float(own["urn1_number"][-1]) / 500.0 - 1.0))
     assert np.isnan(spread[5, 1]).all()
-    through = through2(own, 1000.0, float(results["urn1_number"][3]))[1].mean()
+    through = polarised_current_of(own, 1000.0, float(results["urn1_number"][3]))[1].mean()
     assert np.nanmean(series["current"].reshape(6, 2, -1)[3, 1, 1:]) == pytest.approx(
         through, rel=0.1, abs=0.1
     )

@@ -168,7 +168,7 @@ class Circuit:
     def widest(self) -> float:
         """Upper bound of w' for channel 2 to fit into an urn."""
         if self.outline is not None:
-            return outlines.widest(self.outline)
+            return outlines.widest(self.outline, -1.0)
         return 2.0 * float(np.asarray(self.urn_radius))
 
     @property

@@ -17,6 +17,8 @@ if TYPE_CHECKING:
 
     Floats = NDArray[np.float64]
 
+UPRIGHT = 2.0**-39  # lean of a side, of the outline's size, up to which it is upright
+
 Outline = tuple[tuple[float, float], ...]
 
 
@@ -87,15 +89,15 @@ def ends(outline: Outline) -> tuple[float, float]:
     return float(right), float(left)
 
 
-def widest(outline: Outline) -> float:
-    """Return the upper bound of the widths for channels to fit into their sides."""
-    width = math.inf
-    for way in (1.0, -1.0):
-        side = opening_side(outline, way)
-        if side is None:
-            return 0.0
-        width = min(width, *(2.0 * abs(outline[(side + k) % len(outline)][1]) for k in (0, 1)))
-    return width
+def widest(outline: Outline, way: float) -> float:
+    """Return the upper bound of the width of channel 1 (1) or 2 (-1), 0 without an upright side."""
+    side = opening_side(outline, way)
+    if side is None:
+        return 0.0
+    (x1, y1), (x2, y2) = outline[side], outline[(side + 1) % len(outline)]
+    if abs(x2 - x1) > UPRIGHT * np.abs(outline).max():
+        return 0.0
+    return 2.0 * min(abs(y1), abs(y2))
 
 
 def centred(outline: Outline) -> Floats:

@@ -455,7 +455,8 @@ contains
     keys = differing_keys(before%settings, plan%settings)
     same = keys == '' .and. initial_fingerprint == plan%initial_fingerprint
     if (same) return
-    if (initial_fingerprint /= plan%initial_fingerprint) then
+    if (initial_fingerprint /= plan%initial_fingerprint .and. index(keys, '&particles ' &
+      //'initial_file') == 0) then
       if (keys /= '') keys = keys//new_line_character
       keys = keys//'&particles initial_file: '''//plan%initial_file//''' has other contents now'
     else if (allocated(wrong)) then

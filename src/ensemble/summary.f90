@@ -121,8 +121,14 @@ contains
           means_text(results, p, shown)))
       end do
     end if
-    if (lacking) call print_line('-: no error of its own: '//reason()//trim(merge('; use those ' &
-      //'over replicas     ', '; &scan replicas = 8 gives one', plan%replicas > 1)))
+    if (.not. lacking) return
+    if (plan%replicas > 1) then
+      call print_line('-: no error of its own: '//reason()//'; use those over replicas')
+    else if (plan%initial_file /= '') then
+      call print_line('-: no error of its own: '//reason())
+    else
+      call print_line('-: no error of its own: '//reason()//'; &scan replicas = 8 gives one')
+    end if
 
   contains
 

@@ -140,7 +140,11 @@ contains
       error%code = exit_bad_input
     else if (footer == footer_text(content, digits)) then
       return
-    else if (index(first, mark) > 0 .and. end_in_hdf5(first) <= bytes) then
+    else if (index(footer, first_line) == 1 .and. (digest_in(footer) /= digits .or. &
+      end_in_hdf5(first) /= content)) then
+      call fatal_error(error, name//' is damaged: its digest is wrong', exit_failure)
+    else if (index(first, mark) > 0 .and. end_in_hdf5(first) > 0 .and. end_in_hdf5(first) &
+      <= bytes) then
       ! Its footer was cut off, in part or as a whole, or something is behind it. A digest that is
       ! left must be that of the HDF5 before it.
       call check_what_is_left(name, bytes - end_in_hdf5(first), error)
@@ -150,7 +154,7 @@ contains
         //'0.2.0: it has no digest at its end, which HDF5 cuts off when it opens a file for ' &
         //'writing; if the contents are still as they were, battery --accept FILE.nml takes them ' &
         //'as they are', exit_bad_input)
-    else if (may_be_results(first, bytes) .or. index(footer, digest_word) > 0) then
+    else if (may_be_results(first, bytes) .or. digest_in(footer) /= '') then
       call fatal_error(error, name//' is damaged: it has no digest at its end', exit_failure)
     else
       call fatal_error(error, name//' is not a results file of this program'//leave_it, &
@@ -169,7 +173,7 @@ contains
     character(len=digest_length) :: digits
     character(len=shortest) :: first
     character(len=:), allocatable :: tail
-    integer(int64) :: bytes, seen(5), at
+    integer(int64) :: bytes, seen(5)
 
     allocate (character(len=behind) :: tail)
     if (c_digest_file(name//c_null_char, behind, first, int(shortest, c_int64_t), tail, digits, &
@@ -177,11 +181,27 @@ contains
       call fatal_error(error, name//' cannot be read to its end', exit_bad_input)
       return
     end if
-    at = index(tail, digest_word, kind=int64) + len(digest_word)
-    if (at == len(digest_word) .or. at + digest_length > behind) return
-    if (tail(at:at + digest_length - 1) /= digits) call fatal_error(error, name &
+    if (digest_in(tail) /= '' .and. digest_in(tail) /= digits) call fatal_error(error, name &
       //' is damaged: its digest is wrong', exit_failure)
   end subroutine check_what_is_left
+
+  !> The first digest in what is left of a footer; blank if there is none.
+  pure function digest_in(text) result(digits)
+    character(len=*), intent(in) :: text
+    character(len=digest_length) :: digits
+    integer(int64) :: at, next
+
+    at = 1
+    do
+      next = index(text(at:), digest_word, kind=int64)
+      at = at + next - 1 + len(digest_word)
+      digits = ''
+      if (next == 0 .or. at + digest_length > len(text, int64)) return
+      digits = text(at:at + digest_length - 1)
+      if (verify(digits, '0123456789abcdef') == 0 .and. text(at + digest_length:at &
+        + digest_length) == new_line('a')) return
+    end do
+  end function digest_in
 
   !> Checks that `--overwrite` may remove a file: a results file, whole or not. A namelist, or an
   !> HDF5 file of another program, stays.
