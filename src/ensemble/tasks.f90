@@ -9,7 +9,7 @@ module battery_tasks
   use battery_error, only: error_type
   use battery_gsl, only: sort_order
   use battery_identity, only: task_id_with
-  use battery_initial_state, only: random_particles
+  use battery_initial_state, only: random_particles, before_crossing
   use battery_plan, only: plan_type, point_type, point_of, table_of, setup_of
   use battery_setup, only: setup_type
   use battery_table, only: table_type
@@ -168,14 +168,16 @@ contains
     type(particles_type), intent(out) :: particles
     type(error_type), allocatable, intent(out) :: error
 
-    if (allocated(start%x)) then
-      particles = start
-    else
-      associate (setup => task%setup)
+    associate (setup => task%setup)
+      if (allocated(start%x)) then
+        particles = start
+        particles%x = before_crossing(setup%table, setup%start_time, start%x, start%y, start%ux, &
+          start%uy)
+      else
         call random_particles(setup%table, setup%number, setup%urn1_number, setup%seed, &
           particles, error)
-      end associate
-    end if
+      end if
+    end associate
   end subroutine initial_particles
 
 end module battery_tasks

@@ -160,16 +160,19 @@ contains
     inside = .true.
   end function are_inside
 
-  !> x of a particle of a run that goes on: just before the line if it is exactly on the chord of a
-  !> gate or on the middle line, and moves over it, since a run ends before the events of its last
-  !> instant.
-  elemental real(wp) function before_crossing(table, x, y, ux, uy) result(before)
+  !> x of a particle at the start. In a run that goes on, with a `start_time` above 0, it is just
+  !> before the line if it is exactly on the chord of a gate or on the middle line, and moves over
+  !> it, since a run ends before the events of its last instant.
+  elemental real(wp) function before_crossing(table, start_time, x, y, ux, uy) result(before)
     type(table_type), intent(in) :: table
+    !> Clock time at the start, in time units.
+    real(wp), intent(in) :: start_time
     !> Position in the frame of the table, lengths; velocity, of length 1.
     real(wp), intent(in) :: x, y, ux, uy
     type(passage_type) :: passage
 
     before = x
+    if (.not. start_time > 0.0_wp) return
     passage = passage_at(table, x, y, ux, uy)
     if (passage%trapped .or. passage%channel /= channel1) return
     if (.not. (abs(x) > 0.0_wp .or. ux < 0.0_wp .or. table%urn_count == 1)) before = -tiny(x)

@@ -161,11 +161,10 @@ contains
     end if
     if (allocated(error)) return
     plan%initial_fingerprint = fingerprint_of(text)
-    associate (first => plan%file_particles)
-      if (plan%start_time > 0.0_wp) first%x = before_crossing(table_of(plan, point_of(plan, 1)), &
-        first%x, first%y, first%ux, first%uy)
+    associate (start => plan%file_particles)
+      plan%base%urn1_number = count(before_crossing(table_of(plan, point_of(plan, 1)), &
+        plan%start_time, start%x, start%y, start%ux, start%uy) < 0.0_wp)
     end associate
-    plan%base%urn1_number = count(plan%file_particles%x < 0.0_wp)
   end subroutine use_initial_file
 
 end module battery_input_files

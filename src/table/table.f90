@@ -26,7 +26,7 @@ module battery_table
   private
   public :: table_type, urn_type, channel_type, new_table, shape_circuit, shape_urn
   public :: channel1, channel2, no_channel, outside, in_urn, in_gate, in_channel2
-  public :: urn_at, chamber_at, moves_along_arc, x_direction, is_open, are_mirror_images
+  public :: urn_at, x_on_side, chamber_at, moves_along_arc, x_direction, is_open, are_mirror_images
   public :: passage_type, passage_at
   public :: area, perimeter, half_length, mean_urn_passage, shortest_excursion, try_random_point, &
     longest_run
@@ -234,6 +234,35 @@ contains
 
     urn = merge(1, table%urn_count, x < 0.0_wp)
   end function urn_at
+
+  !> x of a particle at the end of a run, if rounding has put it beyond a line that it has not
+  !> crossed yet, or has left it on one that it has: a run that goes on has each crossing once.
+  elemental function x_on_side(table, urn, enters, is_counted, x, y, ux) result(kept)
+    type(table_type), intent(in) :: table
+    !> Urn to whose half the particle belongs.
+    integer, intent(in) :: urn
+    !> Whether its next event may be that it enters the gate of that urn; whether that gate counts
+    !> it.
+    logical, intent(in) :: enters, is_counted
+    !> Position in the frame of the table, lengths; velocity along x.
+    real(wp), intent(in) :: x, y, ux
+    real(wp) :: kept, depth, towards
+
+    associate (this => table%urn(urn))
+      depth = x_direction(urn)*x
+      towards = -x_direction(urn)*ux
+      if (is_counted) then
+        depth = min(max(depth, 0.0_wp), nearest(this%channel_start(channel1), -1.0_wp))
+      else if (towards > 0.0_wp) then
+        if (enters .and. abs(y) <= this%half_width(channel1)) &
+          depth = max(depth, this%channel_start(channel1))
+      else if (towards < 0.0_wp) then
+        depth = max(depth, tiny(depth))
+        if (abs(y) <= this%half_width(channel2)) depth = min(depth, this%periodic_line)
+      end if
+      kept = x_direction(urn)*depth
+    end associate
+  end function x_on_side
 
   !> Chamber that contains the point (x, y); a point on a chord belongs to the channel. `tolerance`
   !> is the distance that a point may lie beyond a wall.

@@ -62,8 +62,8 @@ module battery_excursion
   use battery_calendar, only: calendar_type, new_calendar, epoch_for, schedule_event, &
     schedule_events, open_buckets_until, next_due_time, count_due_before, drop_done_events, &
     rebase_calendar
-  use battery_table, only: channel1, channel2, urn_at, are_mirror_images, mean_urn_passage, &
-    shortest_excursion
+  use battery_table, only: channel1, channel2, urn_at, x_on_side, are_mirror_images, &
+    mean_urn_passage, shortest_excursion
   use battery_urn_shape, only: cross_channels
   use battery_urn, only: compute_passages
   use battery_passage_starts, only: start_words, store_passage_starts, correct_by_passage, &
@@ -412,6 +412,10 @@ contains
     integer(int64) :: hits
 
     call locate_particle_now(self, i, state, hits)
+    associate (flight => self%flight(i))
+      state(1) = x_on_side(self%table, int(flight%urn), flight%next_event == to_gate, &
+        flight%next_event == counted_in_gate, state(1), state(2), state(3))
+    end associate
   end function state_of
 
   !> State (x, y, u_x, u_y) of particle `i` now, computed from the nearer end of its visit; and the

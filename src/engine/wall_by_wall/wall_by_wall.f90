@@ -6,7 +6,7 @@
 !> the order of the events within the instant, the decision is that of the rule in `battery_gate`.
 module battery_wall_by_wall
   use battery_kinds, only: wp, int64
-  use battery_table, only: channel1, channel2, in_gate
+  use battery_table, only: channel1, channel2, in_gate, x_on_side
   use battery_motion, only: motion_type, meets_gate, meets_line, meets_channel_wall
   use battery_wall_motion, only: motion_at, find_first_wall, hit_wall, pass_line, reverse_motion, &
     heads_for_middle, time_to_middle, is_trapped
@@ -271,7 +271,8 @@ contains
     type(motion_type) :: motion
 
     motion = self%motion_now(i)
-    state = [motion%x, motion%y, motion%ux, motion%uy]
+    state = [x_on_side(self%table, int(motion%urn), motion%next == meets_gate, &
+      heads_for_middle(motion), motion%x, motion%y, motion%ux), motion%y, motion%ux, motion%uy]
   end function state_of
 
   !> Wall collisions since the start.
