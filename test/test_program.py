@@ -618,7 +618,11 @@ def test_a_run_and_who_goes_on_from_it_have_each_event_once(tmp_path: Path, engi
 
 def test_variables_of_a_fortran_library_change_nothing(tmp_path: Path) -> None:
     """Some climate models want another order of bytes, and export that; a stopped run goes on."""
-    odd = {"GFORTRAN_CONVERT_UNIT": "big_endian", "GFORTRAN_OPTIONAL_PLUS": "1"}
+    odd = {
+        "GFORTRAN_CONVERT_UNIT": "big_endian",
+        "GFORTRAN_OPTIONAL_PLUS": "1",
+        "GFORTRAN_STDERR_UNIT": "6",
+    }
     write(tmp_path)
     ended = run("case.nml", folder=tmp_path, environment=odd)
     assert (ended.returncode, ended.stderr) == (0, "")

@@ -38,11 +38,11 @@ static void receive(int number)
    they are loaded, which UCX does. */
 static int hangup_ignored;
 
-/* Removes variables of the environment that change what a Fortran library reads and writes: the order of
-   bytes, and the signs of numbers. It reads them as it is loaded. */
+/* Removes variables of the environment that change what a Fortran library reads and writes, and where: the
+   order of bytes, the signs of numbers, its units. It reads them as it is loaded. */
 static void forget_formats(char **environment)
 {
-  static const char *const names[] = {"GFORTRAN_CONVERT_UNIT=", "GFORTRAN_OPTIONAL_PLUS=", "FORT_CONVERT="};
+  static const char *const names[] = {"GFORTRAN_", "FORT_CONVERT="};
   char **kept = environment;
   for (char **at = environment; *at != NULL; at++) {
     int is_kept = 1;

@@ -55,7 +55,8 @@ contains
       call find_end_or_wall(half_channel%length, half_channel%half_width, now%x, now%y, now%ux, &
         now%uy, now%next_wall, now%delay)
       call find_nearest_disc(half_channel%count, half_channel%x, half_channel%y, &
-        half_channel%radius, now%x, now%y, now%ux, now%uy, now%next_wall, now%delay)
+        half_channel%radius, half_channel%resolution, now%x, now%y, now%ux, now%uy, now%next_wall, &
+        now%delay)
       call advance_lanes(now%until, now%x, now%y, now%ux, now%uy, now%next_wall, now%delay, &
         now%time, now%hits)
       call look_up_discs(half_channel%count, half_channel%x, half_channel%y, half_channel%radius, &
@@ -148,9 +149,11 @@ contains
   end subroutine find_end_or_wall
 
   !> Replaces the end or wall by a disc, if the particle hits one before.
-  pure subroutine find_nearest_disc(count, disc_x, disc_y, radius, x, y, ux, uy, next_wall, delay)
+  pure subroutine find_nearest_disc(count, disc_x, disc_y, radius, resolution, x, y, ux, uy, &
+    next_wall, delay)
     integer, intent(in) :: count
     real(wp), dimension(count), intent(in) :: disc_x, disc_y, radius
+    real(wp), intent(in) :: resolution
     real(wp), dimension(lanes), intent(in) :: x, y, ux, uy
     real(wp), dimension(lanes), intent(inout) :: next_wall, delay
     real(wp) :: dx, dy, ahead, beside, half_chord2, time, this, before, best, wall_before
@@ -167,7 +170,7 @@ contains
         half_chord2 = (radius(k) - beside)*(radius(k) + beside)
         time = ahead - sqrt(max(half_chord2, 0.0_wp))
         time = merge(time, huge(1.0_wp), half_chord2 > 0.0_wp)
-        time = merge(time, huge(1.0_wp), ahead > 0.0_wp)
+        time = merge(time, huge(1.0_wp), ahead > resolution)
         ! In this form the compiler keeps both in registers from disc to disc.
         before = delay(j)
         wall_before = next_wall(j)

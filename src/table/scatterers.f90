@@ -27,6 +27,9 @@ module battery_scatterers
     integer :: count = 0
     !> Distance from the line to the urn, and from the axis to the walls.
     real(wp) :: length = 0.0_wp, half_width = 0.0_wp
+    !> Bound on the rounding error of a distance: a disc whose centre is not farther ahead than this
+    !> is not hit. Else a path that grazes a disc could hit it again and again at one place.
+    real(wp) :: resolution = 0.0_wp
     !> Centres of the discs in the frame of the half channel, and their radii.
     real(wp), allocatable :: x(:), y(:), radius(:)
   end type scattered_half_channel_type
@@ -52,6 +55,8 @@ contains
     half_channel%x = along*pack(scatterers(1, :), here)
     half_channel%y = pack(scatterers(2, :), here)
     half_channel%radius = pack(scatterers(3, :), here)
+    half_channel%resolution = 16.0_wp*epsilon(1.0_wp)*(half_channel%length + channel%width &
+      + maxval(half_channel%radius))
   end function new_scattered_half_channel
 
   !> Finds what a particle reaches next: the wall, the line, the urn, or the disc with that number.
@@ -86,7 +91,7 @@ contains
       half_chord2 = (half_channel%radius(k) - beside)*(half_channel%radius(k) + beside)
       ! By rounding, a particle may be in a disc: it hits the disc now, unless it moves away.
       time(k) = merge(max(ahead - sqrt(max(half_chord2, 0.0_wp)), 0.0_wp), huge(1.0_wp), &
-        half_chord2 > 0.0_wp .and. ahead > 0.0_wp)
+        half_chord2 > 0.0_wp .and. ahead > half_channel%resolution)
     end do
     do k = 1, half_channel%count
       if (time(k) >= wait) cycle
