@@ -18,10 +18,10 @@ from scipy import stats
 from postproc.cli import InputError
 from postproc.figures import style
 from postproc.figures.maps import WIDTH, equals
-from postproc.figures.theories import default
 from postproc.reading.groups import each_series
 from postproc.reading.points import alike, files_of, need_only
 from postproc.theory.circuit import PAPERS_AGE
+from postproc.theory.models import defaults
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -161,7 +161,7 @@ def _short(time: float) -> str:
 def figure_lifetimes(points: xr.Dataset, models: Sequence[Model] = ()) -> Figure:
     """Return lifetimes against N, a panel for each T, l and w': marks measured, lines chains."""
     found = measured(points)
-    models = models or default(points)
+    models = models or defaults(points["circuit"].values)
     print(table(found, models))
     panels: dict[tuple[float, ...], list[Lifetime]] = {}
     for one in found:

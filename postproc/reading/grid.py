@@ -28,7 +28,6 @@ from postproc.reading.points import (
     by_point,
     flat,
     mean_error,
-    scatterers_of,
 )
 from postproc.reading.results_file import ResultsFile
 from postproc.theory.models import defaults, named
@@ -44,8 +43,9 @@ if TYPE_CHECKING:
     Axes = dict[str, tuple[NDArray[np.generic], dict[str, object]]]
 
 SIDES = {"gate_threshold": ("gate", "threshold"), "urn_radius": ("urn", "urn_radius")}
-TABLE = ("shape", "urn_shape", "urn_sides", "urn_vertices", "urn2_vertices", "scatterers")
-UNSAID = {"created", "files", "namelist", "status", "tasks", "mpi_ranks", "scan", "differs"}
+TABLE = ("shape", "urn_shape", "urn_sides", "urn_vertices", "urn2_vertices")
+UNSAID = {"created", "files", "namelist", "status", "tasks", "mpi_ranks", "scan", "differs",
+          "scatterers"}  # fmt: skip
 # Whole numbers of merged results where a point has fewer replicas than others.
 MISSING = {"task_status": NOT_ASKED, "task": -1, "file": -1, "seed": -1}
 STABLE = {"stable": 1.0, "unstable": 0.0}
@@ -126,6 +126,10 @@ def _read(path: Path, *, verify: bool) -> xr.Dataset:
         data["task"] = known.dims, np.arange(known.size).reshape(known.shape), about
         if {"time", "transient_time"} <= set(data):
             data["age"] = _age(data, attributes)
+        if text := str(attributes.get("scatterers", "")):
+            about = {"long_name": "number of discs in channel 2"}
+            data["scatterer_count"] = (), len(text.split()) // 3, about
+            data["scatterers"] = (), text, {"long_name": "z, y, radius of each disc"}
         data = _on_grid(data, axes)
     data.attrs = {**attributes, "files": [str(path.absolute())],
                   "tasks": f"{int(known.sum())} of {asked} tasks are complete"}  # fmt: skip
@@ -148,7 +152,7 @@ def with_theory(data: xr.Dataset, theory: str | Sequence[str] | bool) -> xr.Data
     points = by_point(data)
     circuits = points["circuit"].values.tolist()
     models = _models(theory, circuits)
-    if theory is True and not scatterers_of(data):
+    if theory is True:
         models = defaults(circuits)
     if not models:
         return data
@@ -217,7 +221,8 @@ def merge(parts: Iterable[str | Path | xr.Dataset]) -> xr.Dataset:
     Raises
     ------
     InputError
-        The tables differ in more than lengths: polygons, discs in channel 2, a single urn.
+        The tables differ in more than lengths and the number of discs in channel 2: polygons, a
+        single urn, equally many discs in other places.
     """
     if isinstance(parts, (str, Path, xr.Dataset)) or not isinstance(parts, Iterable):
         parts = [parts]
@@ -241,6 +246,10 @@ def merge(parts: Iterable[str | Path | xr.Dataset]) -> xr.Dataset:
             values = data[name].max("replica").astype(table[name].dtype)
             data[name] = _without_idle(values.variable, axes)
     data = _of_all_replicas(data)
+    if "scatterers" in table:  # each number of discs has its places
+        of_count = dict(zip(table["scatterer_count"], table["scatterers"], strict=True))
+        counts = data["scatterer_count"]
+        data["scatterers"] = counts.dims, np.vectorize(of_count.get, "U")(counts)
     for key, one in chain.from_iterable(part.variables.items() for part in given):
         if key in data and not data[key].attrs:
             data[key].attrs = one.attrs
@@ -297,6 +306,11 @@ def _tasks(given: Sequence[xr.Dataset]) -> tuple[pd.DataFrame, list[str]]:
     for second, first in (("threshold2", "threshold"), ("urn_radius2", "urn_radius")):
         if second in table:
             table[second] = table[second].fillna(table[first])
+    if "scatterers" in table:
+        table = table.fillna({"scatterer_count": 0, "scatterers": ""})
+        table["scatterer_count"] = table["scatterer_count"].astype(int)
+        if table["scatterers"].nunique() > table["scatterer_count"].nunique():
+            raise InputError("merge: scatterers differ that are equally many")
     # A fraction that was scanned in all is a key, and determines its parameter.
     known = chain.from_iterable((FRACTIONS.get(name), name) for name in PARAMETERS)
     keys = [str(name) for name in known if name in table and name in (*fractions, *PARAMETERS)]

@@ -31,9 +31,9 @@ if TYPE_CHECKING:
 #: What makes a point, scanned or not.
 PARAMETERS = (
     "number", "threshold", "threshold2", "urn1_number", "urn_radius", "urn_radius2",
-    "channel1_width", "channel1_length", "channel2_width", "channel2_length",
+    "channel1_width", "channel1_length", "channel2_width", "channel2_length", "scatterer_count",
 )  # fmt: skip
-WHOLE = ("number", "threshold", "threshold2", "urn1_number")
+WHOLE = ("number", "threshold", "threshold2", "urn1_number", "scatterer_count")
 FLOWS = ("flow1_12", "flow1_21", "flow2_12", "flow2_21")
 COMPLETE, NOT_ASKED = 0, 3  # values of `task_status`
 TWO_STATES, UNDECIDED = 2, 3  # values of `point_status`
@@ -92,7 +92,7 @@ def flat(data: xr.Dataset, *needed: str) -> xr.Dataset:
         raise InputError("data: has no replica")
     if "replica" not in data.dims:  # one that was chosen
         by_point = {name for name in data if set(data[name].dims) <= set(data["task"].dims)
-                    and name in (*PARAMETERS, "point_status")}  # fmt: skip
+                    and name in (*PARAMETERS, "point_status", "scatterers")}  # fmt: skip
         tasks = [name for name in data if not (name in by_point or
                  str(name).startswith("theory_") or str(name).endswith(OVER_REPLICAS))]  # fmt: skip
         data = data.assign({name: data[name].expand_dims("replica", axis=-1) for name in tasks})
@@ -247,12 +247,6 @@ def alike(points: xr.Dataset) -> list[Circuit]:
     return found
 
 
-def scatterers_of(data: xr.Dataset) -> tuple[tuple[float, float, float], ...]:
-    """Return the discs in channel 2: z, y, radius of each."""
-    values = [float(word) for word in str(data.attrs.get("scatterers", "")).split()]
-    return tuple(zip(values[0::3], values[1::3], values[2::3], strict=True))
-
-
 def _starts(points: xr.Dataset) -> Floats:
     """Return chi at the beginning of each point's runs.
 
@@ -275,19 +269,21 @@ def _starts(points: xr.Dataset) -> Floats:
 
 def _circuits(points: xr.Dataset) -> list[Circuit]:
     """Return the circuits of all points, from the values of their `PARAMETERS`."""
-    names = [name for name in PARAMETERS if name in points]
+    names = [name for name in PARAMETERS
+             if name in points and name not in ("urn1_number", "scatterer_count")]  # fmt: skip
     columns = [points[name].values.tolist() for name in names]
-    shape, discs = str(points.attrs.get("shape", "circuit")), scatterers_of(points)
+    texts = np.broadcast_to(points.get("scatterers", ""), points.sizes["point"])
     found = []
-    for row, age in zip(zip(*columns, strict=True), _ages(points), strict=True):
+    for row, age, text in zip(zip(*columns, strict=True), _ages(points), texts, strict=True):
         values: dict[str, Any] = {name: int(one) if name in WHOLE else one
                   for name, one in zip(names, row, strict=True)}  # fmt: skip
-        del values["urn1_number"]
+        discs = np.reshape(str(text).split(), (-1, 3)).astype(float).tolist()
         other = values.pop("threshold2", values["threshold"])
         beyond = values.pop("urn_radius2", values["urn_radius"])
         first, second = _outlines(points.attrs, (values["urn_radius"], beyond))
         found.append(Circuit(
-            **values, shape=shape, scatterers=discs, age=age, outline=first,
+            **values, shape=str(points.attrs.get("shape", "circuit")), age=age, outline=first,
+            scatterers=tuple(map(tuple, discs)),
             gate2_threshold=other if other != values["threshold"] else None,
             urn2_radius=beyond if beyond != values["urn_radius"] else None,
             urn2_outline=second if second != first else None,

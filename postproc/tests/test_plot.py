@@ -73,6 +73,36 @@ def test_a_figure_is_drawn_into_axes_of_ones_own(
     axes.figure.draw_without_rendering()
 
 
+def test_files_of_unlike_discs_are_one_scan_and_keep_their_discs(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Also chosen from, and merged again; as many discs in other places are refused."""
+    discs, files = [0.0, 0.01, 0.01, 0.2, -0.01, 0.01], []
+    for name, values in (("two", discs), ("none", None), ("one", discs[:3]), ("moved", discs[3:])):
+        table = {"channel2_width": 0.08, "scatterers": values}
+        scan = {"threshold": 2, "replicas": 2}
+        files.append(results_of(tmp_path / f"{name}.h5", table=table, scan=scan, **SMALL))
+    data = postproc.merge(files[:3])
+    assert data.scatterer_count.to_index().tolist() == [0, 1, 2]
+    assert postproc.table(data)["scatterer_count"].tolist() == [0, 1, 2]
+    again = postproc.merge([data.sel(scatterer_count=2), *files[1:3]])
+    for points in (by_point(data), by_point(again), by_point(data.sel(scatterer_count=[0, 1, 2]))):
+        found = [np.ravel(one.scatterers).tolist() for one in points["circuit"].values]
+        assert found == [[], discs[:3], discs]
+    for at, path in enumerate((files[1], files[2], files[0])):
+        alone = postproc.open_results(path)
+        np.testing.assert_array_equal(again.chi.sel(scatterer_count=at), alone.chi.squeeze())
+    with pytest.raises(InputError, match="scatterers differ that are equally many"):
+        postproc.merge(files[1:])
+    assert call("plot", ["characteristic", *map(str, files[:3]), "--output", str(tmp_path)]) == 0
+    assert "no theory has discs in channel 2" in capsys.readouterr().err
+    with pytest.raises(InputError, match="no theory is drawn where there are discs"):
+        plot.characteristic(data, ax=Figure().add_subplot(), theory="window")
+    axes = Figure().add_subplot()
+    plot.characteristic(data, ax=axes)
+    assert "discs" in " ".join(axes.get_legend_handles_labels()[1])
+
+
 def test_points_that_a_figure_cannot_show_are_named_with_a_way_to_choose(
     folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -60,13 +60,16 @@ MODELS = {model.name: model for model in DECLARED}
 FEW = 12  # circuits for which memory is computed unasked: about a second each
 
 
-def defaults(circuits: Iterable[Circuit]) -> tuple[Model, Model]:
+def defaults(circuits: Iterable[Circuit]) -> tuple[Model, ...]:
     """Return the two theories that are given beside these circuits where none is named.
 
     The paper's, and memory; the exact gate in its place if there are more than `FEW` different
-    circuits, or if it does not apply to one of them, or does not find its states.
+    circuits, or if it does not apply to one of them, or does not find its states. None if there are
+    discs in channel 2, which no theory has.
     """
     asked = set(circuits)
+    if any(one.scatterers for one in asked):
+        return ()
     better = MODELS["direction"]
     if len(asked) > FEW or not all(map(better.answers_for, asked)):
         better = MODELS["renewal"]
