@@ -18,8 +18,8 @@ urn_current, urn_difference, urn_scaled
                 divided by N (app2, app3, app4)
 
 A figure shows each point that it is given, or refuses; --select KEY=VALUE and --point choose, and
---replica takes one replica of each point. Theories are drawn by name (--theory NAME ...): those of
-`theory --theory`.
+--replica takes one replica of each point. Theories are drawn by name (--theory NAME ... or
+--theory NAME,NAME): those of `theory --theory`.
 """
 
 from __future__ import annotations

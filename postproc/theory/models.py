@@ -51,7 +51,7 @@ DECLARED = (
     ),
     Model(
         "direction", "directions", "exact gates, memory of the opening and direction of entry",
-        "chi, currents and transitions alike; lifetimes", 1.0, "-", "renewal",
+        "chi, currents and transitions alike; lifetimes", 1.0, ":", "renewal",
         {"gate": RENEWAL}, _DIRECTIONS, _DIRECTIONS, extras=_of_ports,
         aged=True, widest=1.0,
     ),
