@@ -22,6 +22,7 @@ from postproc.figures.maps import STARTS, SYMBOLS, THRESHOLDS, WIDTH, equals, va
 from postproc.progress import each
 from postproc.reading.groups import series_of
 from postproc.reading.points import (
+    JUMP,
     alike,
     groups,
     keys_of,
@@ -54,7 +55,6 @@ BRANCHES = ("chi", "polarised_current")  # what theories have, of a state
 WHOLE = (*THRESHOLDS, "number")  # keys between whose values there is nothing
 THEORY_MARKS = ("x", "+", "1")
 PLACES = 60  # of a fast theory along another key
-JUMP = 0.3  # change of chi between two of these that is no continuous one
 EARLY = 3000.0  # time within which the transient battery at T = 2 decays
 
 

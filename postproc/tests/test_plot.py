@@ -280,6 +280,38 @@ def in_two_states(folder: Path, into: Path) -> Path:
     return path
 
 
+@pytest.mark.parametrize(
+    ("chi", "two"),
+    [
+        ([0.963, 0.962, 0.960, 0.014], True),
+        ([0.92, 0.03, 0.91, 0.05, 0.93, 0.90], True),
+        ([0.963, 0.014, math.nan, math.nan], False),  # of two nothing is known
+        ([0.750, 0.751, 0.760, 0.761], False),  # of one kind
+        ([0.40, 0.55, 0.62, 0.85], False),  # one state that scatters, or decays
+        ([0.30, 0.45, 0.50, 0.80, 0.84, 0.90], False),
+    ],
+)
+def test_chi_tells_two_states_where_the_program_was_not_asked(
+    tmp_path: Path, chi: list[float], two: bool, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Table, figures and report have no mean of both, also where two files are merged."""
+    size = len(chi) // 2
+    files, scan = [tmp_path / "one.h5", tmp_path / "other.h5"], {"threshold": [2, 4]}
+    for seed, path in enumerate(files):
+        particles = {"number": 200, "seed": seed + 1}
+        results_of(path, scan=scan | {"replicas": size}, run=SHORT, particles=particles)
+        with edited(path) as file:
+            file["chi"][0] = chi[seed * size : (seed + 1) * size]
+    found = postproc.table(files)["chi"]
+    assert np.isnan(found).tolist() == [two, False]
+    words = [*map(str, files), "--theory", "window", "--output", str(tmp_path)]
+    assert call("plot", ["curves", *words]) == call("report", words) == 0
+    assert ("in two states, not shown: 1 of 2 points" in capsys.readouterr().err) is two
+    assert ("the replicas fall into two" in (tmp_path / "one.html").read_text()) is two
+    lines = plot.relaxation(postproc.merge(files), ax=Figure().add_subplot())
+    assert ["two states" in line.get_label() for line in lines] == [two, False]
+
+
 def test_a_line_of_theory_is_broken_where_chi_jumps(tmp_path: Path) -> None:
     scan = {"channel2_width": [0.01, 0.05], "threshold": 2, "replicas": 1}
     path = results_of(tmp_path / "jump.h5", scan=scan, run={"duration": 20.0}, output=BARE,
