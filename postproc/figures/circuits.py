@@ -143,8 +143,8 @@ def starts_of(points: xr.Dataset) -> list[float]:
 
 def mass_spread_of(series: xr.Dataset, number: float, start: float) -> tuple[Floats, Floats]:
     """Return the start and the ends of intervals, and chi at these times."""
-    first = np.append(start, series["urn1_number"])
-    return np.append(0.0, series["time"]), np.abs(number - 2.0 * first) / number
+    first = abs(number - 2.0 * start) / number
+    return np.append(0.0, series["time"]), np.append(first, series["chi"])
 
 
 def polarised_current_of(series: xr.Dataset, number: float, start: float) -> tuple[Floats, Floats]:

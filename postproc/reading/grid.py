@@ -104,13 +104,12 @@ def open_results(
         A `ValueError` of one line: the file is not there, damaged, of another version, or not of
         this program; there is no such theory or group; the theory is not for this table.
     """
-    models = _models(theory)
     if not (group is None or (isinstance(group, str) and group in GROUPS)):
         raise InputError(f"there is no group {group!r}; there are {', '.join(GROUPS)}")
     data = _read(path_of(file, "file"), verify=verify)
     if group is not None:
         return group_of(data, group)
-    return with_theory(data, theory) if models or theory is True else data
+    return with_theory(data, theory) if theory else data
 
 
 def _read(path: Path, *, verify: bool) -> xr.Dataset:
@@ -151,9 +150,7 @@ def with_theory(data: xr.Dataset, theory: str | Sequence[str] | bool) -> xr.Data
     """Return results with those of theories beside them, as `open_results`."""
     points = by_point(data)
     circuits = points["circuit"].values.tolist()
-    models = _models(theory, circuits)
-    if theory is True:
-        models = defaults(circuits)
+    models = defaults(circuits) if theory is True else named(theory or (), circuits)
     if not models:
         return data
     urn = data.attrs.get("shape") == "urn"
@@ -174,13 +171,6 @@ def with_theory(data: xr.Dataset, theory: str | Sequence[str] | bool) -> xr.Data
         added[name] = xr.Variable(("theory", *axes), values.reshape(-1, *sizes), about)
     data = data.assign(added)
     return data.squeeze("theory", drop=True) if isinstance(theory, str) else data
-
-
-def _models(
-    theory: str | Sequence[str] | bool, circuits: Iterable[Circuit] = ()
-) -> tuple[Model, ...]:
-    """Return theories by their names; raise `InputError` if there is no such theory."""
-    return () if isinstance(theory, bool) else named(theory, circuits)
 
 
 def _of_urn(model: Model, circuit: Circuit, _: float) -> list[float]:

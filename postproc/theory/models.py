@@ -27,10 +27,13 @@ def _no_line(_: Circuit) -> float:
 def _of_ports(circuit: Circuit) -> dict[str, object]:
     """Return the ports of an urn or, if they are unequal, of urns 1 and 2."""
     found = [ports.disc(side) for side in circuit.sides]
-    names = {"return_chance": "return_chance", "stay1": "stay1", "stay2": "stay2"}
-    if circuit.alike:
-        return {name: getattr(found[0], field) for name, field in names.items()}
-    return {name: [getattr(one, field) for one in found] for name, field in names.items()}
+    names = ("return_chance", "stay1", "stay2")
+    return {name: _of_sides(circuit, [getattr(one, name) for one in found]) for name in names}
+
+
+def _of_sides(circuit: Circuit, values: list[float]) -> float | list[float]:
+    """Return a value of urn 1 and of urn 2, one if urns and gates are equal."""
+    return values[0] if circuit.alike else values
 
 
 _MIXED_UNLIKE = Theory(transition_width=_no_line)
@@ -109,12 +112,7 @@ def describe(circuit: Circuit, model: Model) -> dict[str, object]:
                 for state in model.states(circuit)
             ],
             "transition_width": theory.transition_width(own),
-            "urn_area": _area(own),
+            "urn_area": _of_sides(own, [float(side.urn_area) for side in own.sides]),
             **model.extras(own),
         }
     )
-
-
-def _area(circuit: Circuit) -> float | list[float]:
-    areas = [float(side.urn_area) for side in circuit.sides]
-    return areas[0] if circuit.alike else areas
