@@ -140,9 +140,10 @@ def by_point(data: xr.Dataset) -> xr.Dataset:
 def _two_states(points: xr.Dataset) -> NDArray[np.bool_]:
     """Return where replicas are in two states: by `point_status`, or by their chi.
 
-    The rule is that of the program, that the values form two groups with little variance within
-    them. Of n replicas in one state that has a probability of about share**((n - 2)/2), which for
-    less than ten is not small: then less variance is needed, and two or three show nothing.
+    The rule is that of the program, that the values form two groups with a small share of the
+    variance within them. Of n replicas in one state this has a probability of about share**((n -
+    2)/2), which for less than ten is not small: then the share must be less, and two or three show
+    nothing.
     """
     known = (points.get("point_status", xr.zeros_like(points["start"])) == TWO_STATES).values
     if "chi" not in points or points.sizes["replica"] == 1:
