@@ -6,7 +6,6 @@ import argparse
 import ast
 import importlib
 import sys
-from functools import cache
 from pathlib import Path
 
 from postproc import __version__, cli
@@ -34,7 +33,8 @@ def description() -> str:
     lines: dict[bool, list[str]] = {True: [], False: []}
     for name in COMMANDS:
         path = PLACE / "commands" / f"{name}.py"
-        summary = (ast.get_docstring(_tree(path)) or "").split("\n", 1)[0]
+        text = ast.get_docstring(ast.parse(path.read_text(encoding="utf-8"))) or ""
+        summary = text.split("\n", 1)[0]
         lines[name in STARTING].append(f"  {name:12s} {summary}")
     return "\n".join([
         "Results, theory, figures, film and report of the program battery.",
@@ -43,11 +43,6 @@ def description() -> str:
         "", "NAME --help explains one. In Python, postproc.open_results reads a results file;",
         "postproc.run starts the program.",
     ])  # fmt: skip
-
-
-@cache
-def _tree(path: Path) -> ast.Module:
-    return ast.parse(path.read_text(encoding="utf-8"))
 
 
 def run() -> int:

@@ -10,6 +10,7 @@ import re
 import sys
 import threading
 import warnings
+from collections import deque
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
@@ -61,10 +62,38 @@ class InputError(ValueError):
 class Parser(argparse.ArgumentParser):
     """Argument parser that ends with one line and exit 2 at an invalid command line.
 
-    Options may stand before, between and after files.
+    Options may stand before, between and after files. The values of an option that takes several
+    may be joined by commas, and end at the first word that is none of them.
     """
 
-    parse_args = argparse.ArgumentParser.parse_intermixed_args
+    def parse_args(  # type: ignore[override]
+        self, args: Sequence[str] | None = None
+    ) -> argparse.Namespace:
+        """Parse words, after each of several values has become an option of its own."""
+        rest, words = deque(sys.argv[1:] if args is None else args), []
+        while rest:
+            word = rest.popleft()
+            name, given, value = word.partition("=")
+            action = self._option_string_actions.get(name)
+            if not isinstance(action, argparse._ExtendAction):
+                words.append(word)
+                continue
+            values = value.split(",") if given else []
+            while rest and not (given or rest[0].startswith("-")):
+                if values and not self._is_value(action, rest[0]):
+                    break
+                values += rest.popleft().split(",")
+            words += [f"{name}={one}" for one in values] or [word]
+        return self.parse_intermixed_args(words)
+
+    def _is_value(self, action: argparse.Action, word: str) -> bool:
+        """Tell whether each part of a word, between commas, is a value of an option."""
+        try:
+            for one in word.split(","):
+                self._check_value(action, self._get_value(action, one))
+        except argparse.ArgumentError:
+            return False
+        return True
 
     def error(self, message: str) -> NoReturn:
         """Print one line and end with exit 2."""

@@ -12,13 +12,14 @@ import numpy as np
 from postproc import cli
 from postproc.advice import advice
 from postproc.advice.advice import table_of
+from postproc.circuits import Circuit
 from postproc.running import write_namelist
-from postproc.theory.circuit import Circuit
 
 if TYPE_CHECKING:
     from pathlib import Path
 
     from postproc.advice.advice import Advice, Groups
+    from postproc.theory.circuit import Circuit as Model
 
 KNOWN = {
     "table": ("urn_radius", "channel1_width", "channel1_length", "channel2_width",
@@ -64,7 +65,7 @@ def advise(
 
 
 def advice_on(
-    groups: Groups, circuit: Circuit, quantity: str, tolerance: float, pilot_seconds: float
+    groups: Groups, circuit: Model, quantity: str, tolerance: float, pilot_seconds: float
 ) -> Advice:
     """Return advice on a circuit, of which `groups` are what a namelist says."""
     numbers = ("tolerance", tolerance, 1e-4, 1.0), ("pilot_seconds", pilot_seconds, 1.0, 1e100)
@@ -79,31 +80,20 @@ def advice_on(
     return advice.advise(groups, circuit, quantity, tolerance, longest=pilot_seconds)
 
 
-def circuit_of(namelist: str | Path | Groups) -> tuple[Groups, Circuit]:
+def circuit_of(namelist: str | Path | Groups) -> tuple[Groups, Model]:
     """Return the groups table, particles and gate of a namelist of one circuit, and the circuit."""
     path, groups = _of_one_point(namelist)
-    particles, gate = groups.get("particles", {}), dict(groups.get("gate", {}))
+    particles, gate = groups.get("particles", {}), groups.get("gate", {})
     if particles.get("initial_file"):
         raise cli.InputError(f"{path}: there is no advice on &particles initial_file")
     number = particles.get("number")
-    if not isinstance(number, int) or number < 1:
+    if not isinstance(number, int):
         raise cli.InputError(f"{path}: &particles number is wanted, a whole number")
-    table = dict(groups.get("table", {}))
-    (one, *other), thresholds, fractions = (
-        value if isinstance(value, list) else [value]
-        for value in (table.pop("urn_radius", 1.0), gate.get("threshold", []),
-                      gate.get("threshold_fraction", []))
-    )  # fmt: skip
-    if thresholds and fractions:
-        raise cli.InputError(f"{path}: &gate threshold is given beside threshold_fraction")
-    thresholds = thresholds or [_nearest(fraction * number) for fraction in fractions]
-    if not thresholds:
-        raise cli.InputError(f"{path}: &gate threshold is wanted")
-    first, *second = thresholds
-    circuit = Circuit(
-        number, first, urn_radius=one, **table,
-        urn2_radius=other[0] if other else None, gate2_threshold=second[0] if second else None,
-    )  # fmt: skip
+    if ("threshold" in gate) == ("threshold_fraction" in gate):
+        raise cli.InputError(f"{path}: &gate threshold is wanted, or threshold_fraction")
+    fractions = np.atleast_1d(gate.get("threshold_fraction", []))
+    thresholds = gate.get("threshold", [_nearest(one * number) for one in fractions])
+    circuit = Circuit(number, thresholds, **groups.get("table", {})).model()
     own = table_of(circuit)
     share = particles.get("urn1_fraction")
     start = particles.get("urn1_number") if share is None else _nearest(share * number)

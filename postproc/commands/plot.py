@@ -8,7 +8,8 @@ phase_diagram   maps of chi and polarised current over T and w', a row for each 
 flows           flows and net currents against time, a panel a point, eta below (comp05)
 relaxation      chi and polarised current against time, mean and band over replicas (comp06)
 curves          polarised current against T/N, or another key, and against chi (comp01)
-characteristic  voltage ln(n2/n1) and power against the net current over a scan, as of w'
+characteristic  voltage ln(n2/n1) and power against the net current over a scan, as of w', or files
+                of several numbers of discs in channel 2
 lifetimes       lifetimes of both states against N, from series that begin in them
 scene           the table of one point to scale with the particles of a snapshot
 circuit, urn    the table with its lengths named, no file or one point with snapshots (model, app1)
@@ -17,8 +18,8 @@ urn_current, urn_difference, urn_scaled
                 divided by N (app2, app3, app4)
 
 A figure shows each point that it is given, or refuses; --select KEY=VALUE and --point choose, and
---replica takes one replica of each point. Theories are drawn by name (--theory NAME ...): those of
-`theory --theory`.
+--replica takes one replica of each point. Theories are drawn by name (--theory NAME ... or
+--theory NAME,NAME): those of `theory --theory`.
 """
 
 from __future__ import annotations
@@ -125,6 +126,9 @@ def main(arguments: list[str] | None = None) -> int:
     hidden = int(points["two_states"].sum()) if name in OF_MEANS else 0
     left_out = f"in two states, not shown: {hidden} of {points.sizes['point']} points"
     notes = [remark(points), left_out if hidden else ""]
+    if "models" in signature(FIGURES[name]).parameters:
+        discs = any(one.scatterers for one in points["circuit"].values)
+        notes.append("no theory has discs in channel 2" if discs else "")
     style.note(made.axes[0], "; ".join(filter(None, notes)))
     say(points, *notes)
     if given.snapshot is not None:

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from postproc.figures import style
-from postproc.figures.theories import default
 from postproc.reading.points import groups, means, need_only
+from postproc.theory.models import defaults
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -90,7 +90,7 @@ def _explain(axes: Axes, lines: Sequence[tuple[str, str]]) -> None:
 @style.settings()
 def figure_urn_current(points: xr.Dataset, models: Sequence[Model] = ()) -> Figure:
     """Return the stationary current of the single urn against T/N, a panel for each N."""
-    models = models or default(points)
+    models = models or defaults(points["circuit"].values)
     made, panels = _panels(points)
     for group in _groups(points):
         (mark, colour), axes, number = _look(group.column), panels[group.row], group.urn.number
@@ -120,7 +120,7 @@ def figure_urn_difference(points: xr.Dataset, models: Sequence[Model] = ()) -> F
     Above, of the first theory (the paper's) and the second; below, on a scale of its own, of all
     but the first. Values below the upper panel are written at its edge.
     """
-    models = models or default(points)
+    models = models or defaults(points["circuit"].values)
     count = np.unique(points["number"]).size
     rows = min(len(models), 2)
     made = style.figure(style.PAGE if count > 1 else 4.4, 2.8 * rows)
@@ -182,7 +182,7 @@ def _mark_beyond(beyond: Sequence[tuple[Axes, float, float, str]]) -> None:
 @style.settings()
 def figure_urn_scaled(points: xr.Dataset, models: Sequence[Model] = ()) -> Figure:
     """Return currents and theory divided by N, against T/N, all N in one panel."""
-    models = models or default(points)
+    models = models or defaults(points["circuit"].values)
     made = style.figure(5.0, 3.7)
     axes = made.subplots()
     found, lines = _groups(points), (":", "--", "-.")

@@ -19,10 +19,10 @@ from postproc.figures.currents import (
     settled_number2,
 )
 from postproc.figures.maps import STARTS, SYMBOLS, THRESHOLDS, WIDTH, equals, values_of
-from postproc.figures.theories import default
 from postproc.progress import each
 from postproc.reading.groups import series_of
 from postproc.reading.points import (
+    JUMP,
     alike,
     groups,
     keys_of,
@@ -31,6 +31,7 @@ from postproc.reading.points import (
     second_values,
     with_tasks,
 )
+from postproc.theory.models import defaults
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -54,7 +55,6 @@ BRANCHES = ("chi", "polarised_current")  # what theories have, of a state
 WHOLE = (*THRESHOLDS, "number")  # keys between whose values there is nothing
 THEORY_MARKS = ("x", "+", "1")
 PLACES = 60  # of a fast theory along another key
-JUMP = 0.3  # change of chi between two of these that is no continuous one
 EARLY = 3000.0  # time within which the transient battery at T = 2 decays
 
 
@@ -89,7 +89,7 @@ def figure_flows(points: xr.Dataset, models: Sequence[Model] = ()) -> Figure:
     if any(one.beyond_theory for one in circuits):
         models = ()
     elif all(one.shape == "circuit" for one in circuits):
-        models = models or default(points)
+        models = models or defaults(points["circuit"].values)
     made = style.figure(max(3.1 * count, 4.6), 5.4)
     cells = made.add_gridspec(1 + bool(models), count, height_ratios=(2.0, 1.0)[: 1 + bool(models)])
     for at, circuit in enumerate(circuits):
@@ -120,7 +120,7 @@ def figure_relaxation(points: xr.Dataset, models: Sequence[Model] = ()) -> Figur
     left if the run is much longer.
     """
     points = few_points(points)
-    models = models or default(points)
+    models = models or defaults(points["circuit"].values)
     last = max(float(series["time"][-1]) for at in range(points.sizes["point"])
                for series in series_of(points, at))  # fmt: skip
     ends = [last] if last < 3.0 * EARLY else [EARLY, last]
@@ -143,8 +143,8 @@ def starts_of(points: xr.Dataset) -> list[float]:
 
 def mass_spread_of(series: xr.Dataset, number: float, start: float) -> tuple[Floats, Floats]:
     """Return the start and the ends of intervals, and chi at these times."""
-    first = np.append(start, series["urn1_number"])
-    return np.append(0.0, series["time"]), np.abs(number - 2.0 * first) / number
+    first = abs(number - 2.0 * start) / number
+    return np.append(0.0, series["time"]), np.append(first, series["chi"])
 
 
 def polarised_current_of(series: xr.Dataset, number: float, start: float) -> tuple[Floats, Floats]:
@@ -322,7 +322,7 @@ def figure_curves(points: xr.Dataset, models: Sequence[Model] = ()) -> Figure:
     The polarity is the instantaneous one, at all points: next to a transition chi does not decide
     which points are polarised.
     """
-    models = models or default(points)
+    models = models or defaults(points["circuit"].values)
     made = style.figure(style.PAGE, 3.4)
     left, right = made.subplots(1, 2, sharey=True)
     draw_curves(left, points, models)
@@ -351,6 +351,7 @@ def draw_characteristic(axes: Axes, points: xr.Dataset, models: Sequence[Model])
     shown = axes.errorbar(current, voltage, deviation, error, fmt="o", color=style.BLUE,
                           mfc="none", ms=3.8, lw=0.7, label="$U$, measured")  # fmt: skip
     right = axes.twinx()
+    axes.figure.sca(axes)  # those of what is drawn next, such as a legend
     power, look = current * voltage, {"color": style.ORANGE, "ms": 3.4, "lw": 0.7}
     (line,) = right.plot(current, power, "s:", mfc="none", **look)
     axes.plot([], [], "s:", mfc="none", label="$J U$, measured", **look)
@@ -384,6 +385,6 @@ def figure_characteristic(points: xr.Dataset, models: Sequence[Model] = ()) -> F
     """Return the characteristic of the battery, with a legend above."""
     made = style.figure(4.8, 3.8)
     axes = made.subplots()
-    draw_characteristic(axes, points, models or default(points))
+    draw_characteristic(axes, points, models or defaults(points["circuit"].values))
     style.legend_above(made, *axes.get_legend_handles_labels(), 2, fontsize=7.5)
     return made

@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 
     Floats = NDArray[np.float64]
     Binned = tuple[Floats, Floats, Floats]
+    Parts = tuple[list[Binned], list[Binned], list[dict[str, float]]]
 
 MARKS = 32  # points of a flow along the axis
 BINS = 80  # steps of the lines of the net currents
@@ -111,18 +112,11 @@ def draw_flows(
     axes: Axes, circuit: Circuit, series: xr.Dataset, models: Sequence[Model], start2: float
 ) -> list[ErrorbarContainer]:
     """Draw flows (marks), net currents (lines), and both by theories, into one panel."""
-    flows, nets, levels = _parts(circuit, series, models, start2)
-    drawn = _draw(axes, flows, nets)
-    for model, one in zip(models, levels, strict=True):
-        _draw_levels(axes, model, one)
-    axes.set(xlim=(0.0, float(series["time"][-1])), ylabel="flow (per unit time)",
-             xlabel="time $t$  (length / $v$)")  # fmt: skip
-    return drawn
+    end = float(series["time"][-1])
+    return _draw(axes, models, _parts(circuit, series, models, start2), end)
 
 
-def _parts(
-    circuit: Circuit, series: xr.Dataset, models: Sequence[Model], start2: float
-) -> tuple[list[Binned], list[Binned], list[dict[str, float]]]:
+def _parts(circuit: Circuit, series: xr.Dataset, models: Sequence[Model], start2: float) -> Parts:
     """Return flows and net currents, `binned`, and those of theories, by name.
 
     A theory's are those of the state that it reaches from the start, of the final polarity. Raises
@@ -153,14 +147,15 @@ def draw_currents(
     A theory's flow has the colour of the corresponding marks, its net currents are black. The axis
     is broken if a large part of it is empty, so there are one or two panels, the upper one first.
     """
-    flows, nets, levels = _parts(circuit, series, models, start2)
-    early = START * float(series["time"][-1])
+    flows, nets, levels = found = _parts(circuit, series, models, start2)
+    end = float(series["time"][-1])
+    early = START * end
     settled = [mean[middle > early] for middle, mean, _ in [*flows, *nets]]
     ranges = _ranges(np.concatenate([*settled, *(list(one.values()) for one in levels)]))
     parts = cell.subgridspec(len(ranges), 1, hspace=0.0)
     panels = [made.add_subplot(part) for part in parts]
     for axes, limits in zip(panels, ranges[::-1], strict=True):
-        draw_flows(axes, circuit, series, models, start2)
+        _draw(axes, models, found, end)
         axes.set(ylim=limits, xlabel="", ylabel="")
         axes.xaxis.set_major_locator(MaxNLocator(4))
         axes.yaxis.set_major_locator(MaxNLocator(5))
@@ -187,26 +182,25 @@ def _ranges(values: Floats) -> list[tuple[float, float]]:
 
 
 def _draw(
-    axes: Axes, flows: Sequence[Binned], nets: Sequence[Binned]
+    axes: Axes, models: Sequence[Model], found: Parts, end: float
 ) -> list[ErrorbarContainer]:  # fmt: skip
-    drawn = []
+    """Draw what `_parts` has found into one panel, up to a time; return the flows."""
+    drawn, (flows, nets, levels) = [], found
     for (mark, colour, label), (middle, mean, error) in zip(FLOW_LOOK.values(), flows, strict=True):
         look = {"fmt": mark, "color": colour, "mfc": "none", "ms": 3.5, "elinewidth": 0.6}
         drawn.append(axes.errorbar(middle, mean, error, label=label, **look))
     for (colour, label), (middle, mean, _) in zip(NET_LOOK.values(), nets, strict=True):
         axes.plot(middle, mean, color=colour, lw=1.1, label=label)
+    for model, values in zip(models, levels, strict=True):
+        look = {"ls": model.dashes, "lw": 1.0}
+        for name, level in values.items():
+            colour = FLOW_LOOK[name][1] if name in FLOW_LOOK else style.BLACK
+            axes.axhline(level, color=colour, zorder=0.5, **look)
+        flows_of = f"{model.label}: flows, coloured as their marks"
+        axes.plot([], [], color=style.GREY, label=flows_of, **look)
+        axes.plot([], [], color=style.BLACK, label=f"{model.label}: {NETS}", **look)
+    axes.set(xlim=(0.0, end), ylabel="flow (per unit time)", xlabel="time $t$  (length / $v$)")
     return drawn
-
-
-def _draw_levels(axes: Axes, model: Model, levels: dict[str, float]) -> None:
-    for name, level in levels.items():
-        colour = FLOW_LOOK[name][1] if name in FLOW_LOOK else style.BLACK
-        axes.axhline(level, color=colour, ls=model.dashes, lw=1.0, zorder=0.5)
-    for colour, what in (
-        (style.GREY, "flows, coloured as their marks"),
-        (style.BLACK, NETS),
-    ):
-        axes.plot([], [], color=colour, ls=model.dashes, lw=1.0, label=f"{model.label}: {what}")
 
 
 def _break(upper: Axes, lower: Axes) -> None:

@@ -10,8 +10,8 @@ from matplotlib.ticker import MaxNLocator
 
 from postproc import cli
 from postproc.figures import style
-from postproc.figures.theories import default
 from postproc.reading.points import files_of, groups, keys_of, means, need_only
+from postproc.theory.models import defaults
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -36,6 +36,7 @@ SYMBOLS = {
     "number": "$N$", "threshold": "$T$", "threshold_fraction": "$T/N$", "channel1_width": "$w$",
     "channel1_length": r"$\ell$", "channel2_width": "$w'$", "channel2_length": r"$\ell'$",
     "urn_radius": "$r$", "threshold2": "$T_2$", "urn_radius2": "$r_2$", "start": r"$\chi(0)$",
+    "scatterer_count": r"$\mathrm{discs}$",
 }  # fmt: skip
 LOOKS = {
     "chi": (r"mass spread $\chi$", {"vmin": 0.0, "vmax": 1.0, "cmap": "viridis"}),
@@ -194,7 +195,7 @@ def figure_phase_diagram(points: xr.Dataset, models: Sequence[Model] = ()) -> Fi
     """
     keys = map_axes(points)
     need_only(points, *keys, "start")
-    models = models or (default(points) if has_lines(keys) else ())
+    models = models or (defaults(points["circuit"].values) if has_lines(keys) else ())
     lines, marks = of_theory(points, keys, models)
     starts = [(name, {one: map_of(part, keys, means(part, one)[0]) for one in LOOKS})
               for name, part in by_start(points)]  # fmt: skip

@@ -18,10 +18,10 @@ from scipy import stats
 from postproc.cli import InputError
 from postproc.figures import style
 from postproc.figures.maps import WIDTH, equals
-from postproc.figures.theories import default
 from postproc.reading.groups import each_series
 from postproc.reading.points import alike, files_of, need_only
 from postproc.theory.circuit import PAPERS_AGE
+from postproc.theory.models import defaults
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -94,14 +94,12 @@ def estimate(times: Sequence[float], passed: Sequence[bool]) -> tuple[float, flo
     return mean, 2.0 * total / float(most), 2.0 * total / float(least)
 
 
-def first_passage(
-    series: xr.Dataset, number: int, barrier: float, below: bool
-) -> tuple[float, bool]:
+def first_passage(series: xr.Dataset, barrier: float, below: bool) -> tuple[float, bool]:
     """Return when chi first gets below (or above) `barrier` in a series, and whether it does.
 
     Without a passage: how long the series lasts, which bounds the lifetime from below.
     """
-    chi, time = np.abs(2.0 * series["urn1_number"].values - number) / number, series["time"].values
+    chi, time = series["chi"].values, series["time"].values
     passed = np.flatnonzero(chi < barrier if below else chi > barrier)
     if passed.size == 0:
         return float(time[-1]), False
@@ -119,7 +117,7 @@ def measured(points: xr.Dataset) -> list[Lifetime]:
     circuits = [replace(one, age=PAPERS_AGE) for one in circuits]  # no lifetime depends on it
     for at, series in each_series(points):
         circuit, polarised = circuits[at], bool(starts[at] > MIDDLE)
-        passage = first_passage(series, circuit.number, LOW if polarised else HIGH, polarised)
+        passage = first_passage(series, LOW if polarised else HIGH, polarised)
         passages.setdefault((circuit, polarised), []).append(passage)
     if not passages:
         raise InputError(f"{files_of(points)}: the series of all points are empty")
@@ -161,7 +159,7 @@ def _short(time: float) -> str:
 def figure_lifetimes(points: xr.Dataset, models: Sequence[Model] = ()) -> Figure:
     """Return lifetimes against N, a panel for each T, l and w': marks measured, lines chains."""
     found = measured(points)
-    models = models or default(points)
+    models = models or defaults(points["circuit"].values)
     print(table(found, models))
     panels: dict[tuple[float, ...], list[Lifetime]] = {}
     for one in found:
@@ -183,13 +181,11 @@ def draw_lifetimes(
     axes: Axes, group: Sequence[Lifetime], models: Sequence[Model]
 ) -> list[ErrorbarContainer]:
     """Draw lifetimes of one T, l and w' against N; return what was measured."""
-    drawn = []
+    drawn, group = [], sorted(group, key=lambda one: one.number)
     states = ((False, "s", style.BLUE, "homogeneous"), (True, "o", style.VERMILION, "polarised"))
     for row, (polarised, mark, colour, name) in enumerate(states):
-        part = sorted((one for one in group if one.polarised == polarised), key=_by_number)
-        of_chains = part or sorted(
-            (replace(one, polarised=polarised) for one in group), key=_by_number
-        )
+        part = [one for one in group if one.polarised == polarised]
+        of_chains = part or [replace(one, polarised=polarised) for one in group]
         beyond = _draw_chains(axes, of_chains, models, colour)
         said = [] if part else ["no runs"]
         if beyond:
@@ -244,7 +240,3 @@ def _explain(axes: Axes, models: Sequence[Model]) -> None:
     axes.plot([], [], "^", color=style.GREY, mfc="w", label="lower bound (95 %)")
     for one in models:
         axes.plot([], [], color=style.GREY, ls=one.dashes, lw=0.9, label=f"chain, {one.label}")
-
-
-def _by_number(one: Lifetime) -> float:
-    return one.number

@@ -78,19 +78,14 @@ def _arcs(side: Circuit, half1: float, half2: float) -> outlines.Outline:
     )
 
 
-def gate_of(circuit: Circuit, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.int_]:
-    """Return the gate that contains each particle: 1, 2, or 0 for none; shape (particle,)."""
-    inside = np.abs(x) <= 0.5 * circuit.channel1_length
-    if circuit.outline is not None:  # an urn may reach over the channel
-        inside &= np.abs(y) <= 0.5 * circuit.channel1_width * (1.0 + ROUNDING)
-    return np.where(inside, np.where(x < 0.0, 1, 2), 0)
-
-
 def counted_by(circuit: Circuit, snapshot: Snapshot) -> NDArray[np.int_]:
     """Return the gate that counts each particle: in it, moving to the other; 0 for none."""
-    gate = gate_of(circuit, snapshot.x, snapshot.y)
-    heads = np.where(gate == 1, snapshot.ux > 0.0, snapshot.ux < 0.0)
-    return np.where(heads, gate, 0)
+    counted = np.abs(snapshot.x) <= 0.5 * circuit.channel1_length
+    if circuit.outline is not None:  # an urn may reach over the channel
+        counted &= np.abs(snapshot.y) <= 0.5 * circuit.channel1_width * (1.0 + ROUNDING)
+    left = snapshot.x < 0.0
+    counted &= np.where(left, snapshot.ux > 0.0, snapshot.ux < 0.0)
+    return np.where(counted, np.where(left, 1, 2), 0)
 
 
 def next_gate(circuit: Circuit, snapshot: Snapshot) -> int:
@@ -198,14 +193,6 @@ def _draw_channel(axes: Axes, circuit: Circuit, snapshot: Snapshot) -> None:
     axes.set_ylim(-1.6 * half1, 1.6 * half1)
 
 
-def _count_text(circuit: Circuit, snapshot: Snapshot) -> list[str]:
-    counted = counted_by(circuit, snapshot)
-    return [
-        f"gate {gate}: {np.count_nonzero(counted == gate)} counted, $T = {side.threshold}$"
-        for gate, (_, side) in enumerate(ways(circuit), start=1)
-    ]
-
-
 def figure_scene(points: xr.Dataset, snapshot: int = -1) -> Figure:
     """Return a snapshot of the first complete task: the whole table, and channel 1 enlarged."""
     task = task_of(points, None, None)
@@ -227,9 +214,10 @@ def picture_of(circuit: Circuit, snapshot: Snapshot) -> Figure:
         title += f"    $N_1 = {in_first}$    $N_2 = {total - in_first}$    $\\chi = {spread:.3f}$"
     whole.set_title(title, loc="center")
     _draw_channel(channel, circuit, snapshot)
-    texts = _count_text(circuit, snapshot)
-    for text, where in zip(texts, ("left", "right"), strict=False):
-        channel.set_title(text, loc=where, fontsize=8)
+    counted = counted_by(circuit, snapshot)
+    for gate, (_, side) in enumerate(ways(circuit), start=1):
+        text = f"gate {gate}: {np.count_nonzero(counted == gate)} counted, $T = {side.threshold}$"
+        channel.set_title(text, loc=("left", "right")[gate - 1], fontsize=8)
     look = {"ncols": 4, "handletextpad": 0.2}
     made.legend(*whole.get_legend_handles_labels(), loc="outside lower center", **look)
     return made

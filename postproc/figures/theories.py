@@ -1,12 +1,12 @@
-"""Default theories of the figures, and the option that names them."""
+"""Theories of the figures by name, and the option that names them."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
 from postproc.cli import InputError
-from postproc.reading.points import files_of, scatterers_of
-from postproc.theory.models import FEW, MODELS, defaults, named
+from postproc.reading.points import files_of
+from postproc.theory.models import FEW, MODELS, named
 
 if TYPE_CHECKING:
     import argparse
@@ -15,14 +15,6 @@ if TYPE_CHECKING:
     import xarray as xr
 
     from postproc.theory.model import Model
-
-
-def default(points: xr.Dataset) -> tuple[Model, ...]:
-    """Return the theories to draw beside points where none is named, `theory.models.defaults`.
-
-    None if there are discs in channel 2, which no theory has.
-    """
-    return () if scatterers_of(points) else defaults(points["circuit"].values)
 
 
 def asked(points: xr.Dataset, names: str | Sequence[str]) -> tuple[Model, ...]:

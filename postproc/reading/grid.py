@@ -28,7 +28,6 @@ from postproc.reading.points import (
     by_point,
     flat,
     mean_error,
-    scatterers_of,
 )
 from postproc.reading.results_file import ResultsFile
 from postproc.theory.models import defaults, named
@@ -44,8 +43,9 @@ if TYPE_CHECKING:
     Axes = dict[str, tuple[NDArray[np.generic], dict[str, object]]]
 
 SIDES = {"gate_threshold": ("gate", "threshold"), "urn_radius": ("urn", "urn_radius")}
-TABLE = ("shape", "urn_shape", "urn_sides", "urn_vertices", "urn2_vertices", "scatterers")
-UNSAID = {"created", "files", "namelist", "status", "tasks", "mpi_ranks", "scan", "differs"}
+TABLE = ("shape", "urn_shape", "urn_sides", "urn_vertices", "urn2_vertices")
+UNSAID = {"created", "files", "namelist", "status", "tasks", "mpi_ranks", "scan", "differs",
+          "scatterers"}  # fmt: skip
 # Whole numbers of merged results where a point has fewer replicas than others.
 MISSING = {"task_status": NOT_ASKED, "task": -1, "file": -1, "seed": -1}
 STABLE = {"stable": 1.0, "unstable": 0.0}
@@ -104,13 +104,12 @@ def open_results(
         A `ValueError` of one line: the file is not there, damaged, of another version, or not of
         this program; there is no such theory or group; the theory is not for this table.
     """
-    models = _models(theory)
     if not (group is None or (isinstance(group, str) and group in GROUPS)):
         raise InputError(f"there is no group {group!r}; there are {', '.join(GROUPS)}")
     data = _read(path_of(file, "file"), verify=verify)
     if group is not None:
         return group_of(data, group)
-    return with_theory(data, theory) if models or theory is True else data
+    return with_theory(data, theory) if theory else data
 
 
 def _read(path: Path, *, verify: bool) -> xr.Dataset:
@@ -126,6 +125,10 @@ def _read(path: Path, *, verify: bool) -> xr.Dataset:
         data["task"] = known.dims, np.arange(known.size).reshape(known.shape), about
         if {"time", "transient_time"} <= set(data):
             data["age"] = _age(data, attributes)
+        if text := str(attributes.get("scatterers", "")):
+            about = {"long_name": "number of discs in channel 2"}
+            data["scatterer_count"] = (), len(text.split()) // 3, about
+            data["scatterers"] = (), text, {"long_name": "z, y, radius of each disc"}
         data = _on_grid(data, axes)
     data.attrs = {**attributes, "files": [str(path.absolute())],
                   "tasks": f"{int(known.sum())} of {asked} tasks are complete"}  # fmt: skip
@@ -147,9 +150,7 @@ def with_theory(data: xr.Dataset, theory: str | Sequence[str] | bool) -> xr.Data
     """Return results with those of theories beside them, as `open_results`."""
     points = by_point(data)
     circuits = points["circuit"].values.tolist()
-    models = _models(theory, circuits)
-    if theory is True and not scatterers_of(data):
-        models = defaults(circuits)
+    models = defaults(circuits) if theory is True else named(theory or (), circuits)
     if not models:
         return data
     urn = data.attrs.get("shape") == "urn"
@@ -170,13 +171,6 @@ def with_theory(data: xr.Dataset, theory: str | Sequence[str] | bool) -> xr.Data
         added[name] = xr.Variable(("theory", *axes), values.reshape(-1, *sizes), about)
     data = data.assign(added)
     return data.squeeze("theory", drop=True) if isinstance(theory, str) else data
-
-
-def _models(
-    theory: str | Sequence[str] | bool, circuits: Iterable[Circuit] = ()
-) -> tuple[Model, ...]:
-    """Return theories by their names; raise `InputError` if there is no such theory."""
-    return () if isinstance(theory, bool) else named(theory, circuits)
 
 
 def _of_urn(model: Model, circuit: Circuit, _: float) -> list[float]:
@@ -217,7 +211,8 @@ def merge(parts: Iterable[str | Path | xr.Dataset]) -> xr.Dataset:
     Raises
     ------
     InputError
-        The tables differ in more than lengths: polygons, discs in channel 2, a single urn.
+        The tables differ in more than lengths and the number of discs in channel 2: polygons, a
+        single urn, equally many discs in other places.
     """
     if isinstance(parts, (str, Path, xr.Dataset)) or not isinstance(parts, Iterable):
         parts = [parts]
@@ -241,6 +236,10 @@ def merge(parts: Iterable[str | Path | xr.Dataset]) -> xr.Dataset:
             values = data[name].max("replica").astype(table[name].dtype)
             data[name] = _without_idle(values.variable, axes)
     data = _of_all_replicas(data)
+    if "scatterers" in table:  # each number of discs has its places
+        of_count = dict(zip(table["scatterer_count"], table["scatterers"], strict=True))
+        counts = data["scatterer_count"]
+        data["scatterers"] = counts.dims, np.vectorize(of_count.get, "U")(counts)
     for key, one in chain.from_iterable(part.variables.items() for part in given):
         if key in data and not data[key].attrs:
             data[key].attrs = one.attrs
@@ -297,6 +296,11 @@ def _tasks(given: Sequence[xr.Dataset]) -> tuple[pd.DataFrame, list[str]]:
     for second, first in (("threshold2", "threshold"), ("urn_radius2", "urn_radius")):
         if second in table:
             table[second] = table[second].fillna(table[first])
+    if "scatterers" in table:
+        table = table.fillna({"scatterer_count": 0, "scatterers": ""})
+        table["scatterer_count"] = table["scatterer_count"].astype(int)
+        if table["scatterers"].nunique() > table["scatterer_count"].nunique():
+            raise InputError("merge: scatterers differ that are equally many")
     # A fraction that was scanned in all is a key, and determines its parameter.
     known = chain.from_iterable((FRACTIONS.get(name), name) for name in PARAMETERS)
     keys = [str(name) for name in known if name in table and name in (*fractions, *PARAMETERS)]

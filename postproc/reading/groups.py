@@ -100,8 +100,9 @@ def _checked(data: xr.Dataset, group: str, names: tuple[str, ...]) -> xr.Dataset
 def each_series(points: xr.Dataset) -> Iterator[tuple[int, xr.Dataset]]:
     """Iterate over complete tasks: the place of the point, and the series of the task to its end.
 
-    `time` are the ends of the intervals, `middle` their middles; `urn1_number` is N1 at the ends,
-    and `flow...` are crossings per unit time since the entry before. Empty series are left out.
+    `time` are the ends of the intervals, `middle` their middles; `urn1_number` is N1 at the ends
+    and `chi` the mass spread, and `flow...` are crossings per unit time since the entry before.
+    Empty series are left out.
     Raises `InputError` if none was requested.
     """
     step = max(1, TOGETHER // points.sizes["replica"])
@@ -109,6 +110,7 @@ def each_series(points: xr.Dataset) -> Iterator[tuple[int, xr.Dataset]]:
         part = points.isel(point=slice(first, first + step))
         found = _checked(part, "series", ("urn1_number", *FLOWS))
         found = found.assign_coords(replica=np.arange(found.sizes["replica"]))
+        found["chi"] = abs(part["number"] - 2.0 * found["urn1_number"]) / part["number"]
         # The entry at the start has no interval before it.
         known = found[FLOWS[0]].notnull() & (found["urn1_number"] >= 0) & (found["time"] > 0.0)
         for at, replica in np.argwhere(part["complete"].values & known.any("time").values):

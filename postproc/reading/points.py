@@ -31,15 +31,18 @@ if TYPE_CHECKING:
 #: What makes a point, scanned or not.
 PARAMETERS = (
     "number", "threshold", "threshold2", "urn1_number", "urn_radius", "urn_radius2",
-    "channel1_width", "channel1_length", "channel2_width", "channel2_length",
+    "channel1_width", "channel1_length", "channel2_width", "channel2_length", "scatterer_count",
 )  # fmt: skip
-WHOLE = ("number", "threshold", "threshold2", "urn1_number")
+WHOLE = ("number", "threshold", "threshold2", "urn1_number", "scatterer_count")
 FLOWS = ("flow1_12", "flow1_21", "flow2_12", "flow2_21")
 COMPLETE, NOT_ASKED = 0, 3  # values of `task_status`
 TWO_STATES, UNDECIDED = 2, 3  # values of `point_status`
 #: Variables whose names end so are errors of the mean over all replicas of a point.
 OVER_REPLICAS = ("_spread", "_replica_error")
 ROUNDING = 1e-12  # numbers that differ by less, relative to the greatest, are equal
+WITHIN = 0.1  # of the variance, most that two states have within them, as in precision.f90
+CHANCE = 1e-4  # of this order, probability that few replicas in one state look like two
+JUMP = 0.3  # of chi, least difference between two kinds of states
 #: Keys that may be scanned in place of a parameter.
 FRACTIONS = {"threshold": "threshold_fraction", "urn1_number": "urn1_fraction"}
 
@@ -48,8 +51,8 @@ def mean_error(values: xr.DataArray, own_error: xr.DataArray | None = None) -> x
     """Return the mean over replicas and its standard error.
 
     The error is the scatter of n >= 2 complete replicas over sqrt(n), 0 where it is rounding; for
-    one replica it is the run's own. A variable does not know where replicas are in two states
-    (`point_status` 2), so there, too, it has a mean; `table`, figures and reports show none.
+    one replica it is the run's own. A variable does not know where replicas are in two states, so
+    there, too, it has a mean; `table`, figures and reports show none.
 
     Parameters
     ----------
@@ -92,7 +95,7 @@ def flat(data: xr.Dataset, *needed: str) -> xr.Dataset:
         raise InputError("data: has no replica")
     if "replica" not in data.dims:  # one that was chosen
         by_point = {name for name in data if set(data[name].dims) <= set(data["task"].dims)
-                    and name in (*PARAMETERS, "point_status")}  # fmt: skip
+                    and name in (*PARAMETERS, "point_status", "scatterers")}  # fmt: skip
         tasks = [name for name in data if not (name in by_point or
                  str(name).startswith("theory_") or str(name).endswith(OVER_REPLICAS))]  # fmt: skip
         data = data.assign({name: data[name].expand_dims("replica", axis=-1) for name in tasks})
@@ -109,8 +112,8 @@ def by_point(data: xr.Dataset) -> xr.Dataset:
 
     Coordinates along `point` are the keys of the scan, in its order. Every parameter has a value at
     each point. Added are `start`, chi at the beginning (`_starts`); `circuit`, whose urns and gates
-    may be unequal; `two_states`, whether replicas are in two, so that they have no mean (one that
-    was chosen is in one); and of each task `asked`, whether it was requested, and `complete`.
+    may be unequal; `two_states`, whether replicas are in two (`_two_states`), so that they have no
+    mean; and of each task `asked`, whether it was requested, and `complete`.
     """
     points = flat(data, "task_status")
     known = [name for name in PARAMETERS if name in points]
@@ -127,12 +130,35 @@ def by_point(data: xr.Dataset) -> xr.Dataset:
     points = points.assign_coords({name: columns[name] for name in keys})
     points["start"] = "point", _starts(points)
     points["complete"], points["asked"] = status == COMPLETE, status != NOT_ASKED
-    found = points.get("point_status", xr.zeros_like(points["start"])) == TWO_STATES
-    points["two_states"] = found & (points.sizes["replica"] > 1)
     points = points.transpose("point", "replica", ...)
+    points["two_states"] = "point", _two_states(points)
     points["circuit"] = "point", np.empty(size, object)
     points["circuit"].values[:] = _circuits(points)
     return points
+
+
+def _two_states(points: xr.Dataset) -> NDArray[np.bool_]:
+    """Return where replicas are in two states: by `point_status`, or by their chi.
+
+    The rule is that of the program, that the values form two groups with a small share of the
+    variance within them. Of n replicas in one state this has a probability of about share**((n -
+    2)/2), which for less than ten is not small: then the share must be less, and two or three show
+    nothing.
+    """
+    known = (points.get("point_status", xr.zeros_like(points["start"])) == TWO_STATES).values
+    if "chi" not in points or points.sizes["replica"] == 1:
+        return known & (points.sizes["replica"] > 1)
+    values = np.sort(points["chi"])  # NaN at the end
+    count = np.isfinite(values).sum(axis=1, keepdims=True)
+    away = values - np.nansum(values, axis=1, keepdims=True) / np.maximum(count, 1)
+    lower = np.arange(1, values.shape[1] + 1)
+    # What a division into the lowest values and the others takes from the sum of squares.
+    taken = np.nancumsum(away, axis=1) ** 2 * count / (lower * np.maximum(count - lower, 1))
+    squares = np.nansum(away**2, axis=1)
+    share = 1.0 - taken.max(axis=1) / np.where(squares > ROUNDING, squares, math.inf)
+    unlikely = np.maximum(share, 0.0) ** (0.5 * count[:, 0] - 1.0) < CHANCE
+    apart = np.nanmax(away, axis=1, initial=0.0) - np.nanmin(away, axis=1, initial=0.0) > JUMP
+    return known | ((share < WITHIN) & unlikely & apart)
 
 
 def keys_of(points: xr.Dataset) -> dict[str, NDArray[np.generic]]:
@@ -247,12 +273,6 @@ def alike(points: xr.Dataset) -> list[Circuit]:
     return found
 
 
-def scatterers_of(data: xr.Dataset) -> tuple[tuple[float, float, float], ...]:
-    """Return the discs in channel 2: z, y, radius of each."""
-    values = [float(word) for word in str(data.attrs.get("scatterers", "")).split()]
-    return tuple(zip(values[0::3], values[1::3], values[2::3], strict=True))
-
-
 def _starts(points: xr.Dataset) -> Floats:
     """Return chi at the beginning of each point's runs.
 
@@ -275,19 +295,21 @@ def _starts(points: xr.Dataset) -> Floats:
 
 def _circuits(points: xr.Dataset) -> list[Circuit]:
     """Return the circuits of all points, from the values of their `PARAMETERS`."""
-    names = [name for name in PARAMETERS if name in points]
+    names = [name for name in PARAMETERS
+             if name in points and name not in ("urn1_number", "scatterer_count")]  # fmt: skip
     columns = [points[name].values.tolist() for name in names]
-    shape, discs = str(points.attrs.get("shape", "circuit")), scatterers_of(points)
+    texts = np.broadcast_to(points.get("scatterers", ""), points.sizes["point"])
     found = []
-    for row, age in zip(zip(*columns, strict=True), _ages(points), strict=True):
+    for row, age, text in zip(zip(*columns, strict=True), _ages(points), texts, strict=True):
         values: dict[str, Any] = {name: int(one) if name in WHOLE else one
                   for name, one in zip(names, row, strict=True)}  # fmt: skip
-        del values["urn1_number"]
+        discs = np.reshape(str(text).split(), (-1, 3)).astype(float).tolist()
         other = values.pop("threshold2", values["threshold"])
         beyond = values.pop("urn_radius2", values["urn_radius"])
         first, second = _outlines(points.attrs, (values["urn_radius"], beyond))
         found.append(Circuit(
-            **values, shape=shape, scatterers=discs, age=age, outline=first,
+            **values, shape=str(points.attrs.get("shape", "circuit")), age=age, outline=first,
+            scatterers=tuple(map(tuple, discs)),
             gate2_threshold=other if other != values["threshold"] else None,
             urn2_radius=beyond if beyond != values["urn_radius"] else None,
             urn2_outline=second if second != first else None,

@@ -5,9 +5,10 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from postproc import cli
-from postproc.figures.theories import asked, default
+from postproc.figures.theories import asked
 from postproc.reading.grid import dataset_of
 from postproc.reading.points import by_point, remark, say
+from postproc.theory.models import defaults
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -46,7 +47,7 @@ def report(
     name = points.attrs["files"][0].rpartition("/")[2].removesuffix(".h5")
     path = cli.path_of(f"{name}.html" if file is None else file, "file")
     cli.file_to_write(path, "HTML page")
-    models = default(points) if theory is None else asked(points, theory)
+    models = defaults(points["circuit"].values) if theory is None else asked(points, theory)
     page = cli.extra("report", "postproc.reporting.page").page
     text = page(points, {one.name: one for one in models})
     say(points, remark(points))

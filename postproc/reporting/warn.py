@@ -200,8 +200,7 @@ def _moving(points: xr.Dataset) -> dict[int, list[str]]:
     if points.attrs.get("shape") != "urn":
         with suppress(InputError):  # none was requested
             for at, one in each_series(points):
-                number = float(points["number"].values[at])
-                if drifts(np.abs(number - 2.0 * one["urn1_number"].values) / number):
+                if drifts(one["chi"].values):
                     found.setdefault(at, []).append(str(int(one["replica"])))
     return found
 

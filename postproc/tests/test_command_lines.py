@@ -14,6 +14,7 @@ import pytest
 from postproc import cli
 from postproc.__main__ import COMMANDS
 from postproc.commands.plot import FIGURES
+from postproc.figures.theories import add_models
 from postproc.tests.commands import call
 from postproc.tests.runs import BARE, leave_out, results_of
 
@@ -157,6 +158,32 @@ def test_what_a_figure_cannot_show_is_refused_in_one_line(
     assert call("plot", [*words.split(), WINDOW]) == 2
     told = capsys.readouterr().err
     assert (told.count("\n"), said in told) == (1, True), told
+
+
+@pytest.mark.parametrize(
+    ("words", "names"),
+    [
+        ("a.h5 b.h5 --theory window renewal", "window renewal"),
+        ("--theory window renewal a.h5 b.h5", "window renewal"),
+        ("a.h5 --theory renewal,window b.h5", "renewal window"),
+        ("--theory=window,renewal a.h5 --theory direction b.h5", "window renewal direction"),
+        ("--theory a.h5 b.h5", "invalid choice: 'a.h5'"),
+        ("a.h5 b.h5 --theory window,widow", "invalid choice: 'widow'"),
+        ("a.h5 b.h5 --theory --output .", "expected at least one argument"),
+    ],
+)
+def test_values_of_an_option_end_where_files_begin(
+    words: str, names: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    options = cli.parser("report", None)
+    options.add_argument("files", nargs="+")
+    add_models(options)
+    cli.add_output(options)
+    try:
+        given = options.parse_args(words.split())
+        assert (given.files, given.theory) == (["a.h5", "b.h5"], names.split())
+    except SystemExit:
+        assert names in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

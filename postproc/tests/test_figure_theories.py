@@ -11,6 +11,12 @@ from postproc.figures import theories
 from postproc.theory.circuit import Circuit, homogeneous_kind, transition_width
 
 
+def test_no_theory_is_drawn_solid_as_what_is_measured() -> None:
+    dashes = [model.dashes for model in theories.MODELS.values()]
+    assert "-" not in dashes
+    assert len({*dashes}) == len(dashes)
+
+
 @pytest.mark.parametrize("name", ["window", "renewal"])
 def test_drawn_transition_line_is_where_stability_changes(name: str) -> None:
     model = theories.MODELS[name]

@@ -113,9 +113,9 @@ def test_lifetimes_grow_with_the_number_of_particles() -> None:
 
 def test_first_passage_in_a_series() -> None:
     time = np.arange(1.0, 6.0)
-    series = xr.Dataset({"urn1_number": ("time", [0.0, 10.0, 30.0, 50.0, 50.0])}, {"time": time})
-    assert first_passage(series, 100, 0.5, below=True) == (3.0, True)
-    assert first_passage(series, 100, -1.0, below=True) == (5.0, False)
+    series = xr.Dataset({"chi": ("time", [1.0, 0.8, 0.4, 0.0, 0.0])}, {"time": time})
+    assert first_passage(series, 0.5, below=True) == (3.0, True)
+    assert first_passage(series, -1.0, below=True) == (5.0, False)
 
 
 def test_command_line(capsys: pytest.CaptureFixture[str]) -> None:

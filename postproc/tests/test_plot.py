@@ -73,6 +73,36 @@ def test_a_figure_is_drawn_into_axes_of_ones_own(
     axes.figure.draw_without_rendering()
 
 
+def test_files_of_unlike_discs_are_one_scan_and_keep_their_discs(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Also chosen from, and merged again; as many discs in other places are refused."""
+    discs, files = [0.0, 0.01, 0.01, 0.2, -0.01, 0.01], []
+    for name, values in (("two", discs), ("none", None), ("one", discs[:3]), ("moved", discs[3:])):
+        table = {"channel2_width": 0.08, "scatterers": values}
+        scan = {"threshold": 2, "replicas": 2}
+        files.append(results_of(tmp_path / f"{name}.h5", table=table, scan=scan, **SMALL))
+    data = postproc.merge(files[:3])
+    assert data.scatterer_count.to_index().tolist() == [0, 1, 2]
+    assert postproc.table(data)["scatterer_count"].tolist() == [0, 1, 2]
+    again = postproc.merge([data.sel(scatterer_count=2), *files[1:3]])
+    for points in (by_point(data), by_point(again), by_point(data.sel(scatterer_count=[0, 1, 2]))):
+        found = [np.ravel(one.scatterers).tolist() for one in points["circuit"].values]
+        assert found == [[], discs[:3], discs]
+    for at, path in enumerate((files[1], files[2], files[0])):
+        alone = postproc.open_results(path)
+        np.testing.assert_array_equal(again.chi.sel(scatterer_count=at), alone.chi.squeeze())
+    with pytest.raises(InputError, match="scatterers differ that are equally many"):
+        postproc.merge(files[1:])
+    assert call("plot", ["characteristic", *map(str, files[:3]), "--output", str(tmp_path)]) == 0
+    assert "no theory has discs in channel 2" in capsys.readouterr().err
+    with pytest.raises(InputError, match="no theory is drawn where there are discs"):
+        plot.characteristic(data, ax=Figure().add_subplot(), theory="window")
+    axes = Figure().add_subplot()
+    plot.characteristic(data, ax=axes)
+    assert "discs" in " ".join(axes.get_legend_handles_labels()[1])
+
+
 def test_points_that_a_figure_cannot_show_are_named_with_a_way_to_choose(
     folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -248,6 +278,38 @@ def in_two_states(folder: Path, into: Path) -> Path:
         file["point_status"] = np.array([0, 0, 2, 0, 0, 0], dtype="i4")
         file["point_status"].dims[0].attach_scale(file["point"])
     return path
+
+
+@pytest.mark.parametrize(
+    ("chi", "two"),
+    [
+        ([0.963, 0.962, 0.960, 0.014], True),
+        ([0.92, 0.03, 0.91, 0.05, 0.93, 0.90], True),
+        ([0.963, 0.014, math.nan, math.nan], False),  # of two nothing is known
+        ([0.750, 0.751, 0.760, 0.761], False),  # of one kind
+        ([0.40, 0.55, 0.62, 0.85], False),  # one state that scatters, or decays
+        ([0.30, 0.45, 0.50, 0.80, 0.84, 0.90], False),
+    ],
+)
+def test_chi_tells_two_states_where_the_program_was_not_asked(
+    tmp_path: Path, chi: list[float], two: bool, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Table, figures and report have no mean of both, also where two files are merged."""
+    size = len(chi) // 2
+    files, scan = [tmp_path / "one.h5", tmp_path / "other.h5"], {"threshold": [2, 4]}
+    for seed, path in enumerate(files):
+        particles = {"number": 200, "seed": seed + 1}
+        results_of(path, scan=scan | {"replicas": size}, run=SHORT, particles=particles)
+        with edited(path) as file:
+            file["chi"][0] = chi[seed * size : (seed + 1) * size]
+    found = postproc.table(files)["chi"]
+    assert np.isnan(found).tolist() == [two, False]
+    words = [*map(str, files), "--theory", "window", "--output", str(tmp_path)]
+    assert call("plot", ["curves", *words]) == call("report", words) == 0
+    assert ("in two states, not shown: 1 of 2 points" in capsys.readouterr().err) is two
+    assert ("the replicas fall into two" in (tmp_path / "one.html").read_text()) is two
+    lines = plot.relaxation(postproc.merge(files), ax=Figure().add_subplot())
+    assert ["two states" in line.get_label() for line in lines] == [two, False]
 
 
 def test_a_line_of_theory_is_broken_where_chi_jumps(tmp_path: Path) -> None:

@@ -49,6 +49,8 @@ from postproc.theory.states import State
 from postproc.theory.visits import NARROW, visits
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from numpy.typing import ArrayLike, NDArray
 
     Floats = NDArray[np.float64]
@@ -426,29 +428,28 @@ def stationary_states(circuit: Circuit) -> list[State]:
     return found
 
 
+def _along(circuit: Circuit, what: Callable[[Held], ArrayLike]) -> tuple[Floats, Floats]:
+    """Return N2 at the points of `scan`, and what is asked there of the urns: (N2, ..., urn)."""
+    held = [one for _, one in scan(circuit)]
+    second, found = np.array([one.in_half[1] for one in held]), np.array(list(map(what, held)))
+    if circuit.alike:  # the mirror images
+        second = np.concatenate([float(circuit.number) - second[::-1], second])
+        found = np.concatenate([found[::-1, ..., ::-1], found])
+    return second, found
+
+
 def flows(circuit: Circuit, number2: float) -> Floats:
     """Return the flows of channels 1 and 2 from urn 1 to 2 and back at N2 = `number2`.
 
     Per unit time, shape (channel, way); without circulation. Interpolated between points of `scan`.
     """
-    held = [one for _, one in scan(circuit)]
-    second = np.array([one.in_half[1] for one in held])
-    carried = np.array([[one.through, one.across[:, 0]] for one in held])
+    second, carried = _along(circuit, lambda held: [held.through, held.across[:, 0]])
     if float(circuit.channel2_width) == 0.0:
         carried[:, 1] = 0.0
-    if circuit.alike:  # the mirror images
-        second = np.concatenate([float(circuit.number) - second[::-1], second])
-        carried = np.concatenate([carried[::-1, :, ::-1], carried])
     return between(second, np.moveaxis(carried, 0, -1), number2)
 
 
 def outflows(circuit: Circuit) -> tuple[Floats, Floats]:
     """Return N2 and the logarithms of the flows between the halves, as `Theory.outflows`."""
-    held = [one for _, one in scan(circuit)]
-    second = np.array([one.in_half[1] for one in held])
-    sent = np.log(np.maximum(np.array([one.sent for one in held]).T, 1e-300))
-    if circuit.alike:  # the mirror images
-        number = float(circuit.number)
-        second = np.concatenate([number - second[::-1], second])
-        sent = np.concatenate([sent[::-1, ::-1], sent], axis=1)
-    return second, sent
+    second, sent = _along(circuit, lambda held: held.sent)
+    return second, np.log(np.maximum(sent.T, 1e-300))

@@ -27,10 +27,13 @@ def _no_line(_: Circuit) -> float:
 def _of_ports(circuit: Circuit) -> dict[str, object]:
     """Return the ports of an urn or, if they are unequal, of urns 1 and 2."""
     found = [ports.disc(side) for side in circuit.sides]
-    names = {"return_chance": "return_chance", "stay1": "stay1", "stay2": "stay2"}
-    if circuit.alike:
-        return {name: getattr(found[0], field) for name, field in names.items()}
-    return {name: [getattr(one, field) for one in found] for name, field in names.items()}
+    names = ("return_chance", "stay1", "stay2")
+    return {name: _of_sides(circuit, [getattr(one, name) for one in found]) for name in names}
+
+
+def _of_sides(circuit: Circuit, values: list[float]) -> float | list[float]:
+    """Return a value of urn 1 and of urn 2, one if urns and gates are equal."""
+    return values[0] if circuit.alike else values
 
 
 _MIXED_UNLIKE = Theory(transition_width=_no_line)
@@ -51,7 +54,7 @@ DECLARED = (
     ),
     Model(
         "direction", "directions", "exact gates, memory of the opening and direction of entry",
-        "chi, currents and transitions alike; lifetimes", 1.0, "-", "renewal",
+        "chi, currents and transitions alike; lifetimes", 1.0, ":", "renewal",
         {"gate": RENEWAL}, _DIRECTIONS, _DIRECTIONS, extras=_of_ports,
         aged=True, widest=1.0,
     ),
@@ -60,13 +63,16 @@ MODELS = {model.name: model for model in DECLARED}
 FEW = 12  # circuits for which memory is computed unasked: about a second each
 
 
-def defaults(circuits: Iterable[Circuit]) -> tuple[Model, Model]:
+def defaults(circuits: Iterable[Circuit]) -> tuple[Model, ...]:
     """Return the two theories that are given beside these circuits where none is named.
 
     The paper's, and memory; the exact gate in its place if there are more than `FEW` different
-    circuits, or if it does not apply to one of them, or does not find its states.
+    circuits, or if it does not apply to one of them, or does not find its states. None if there are
+    discs in channel 2, which no theory has.
     """
     asked = set(circuits)
+    if any(one.scatterers for one in asked):
+        return ()
     better = MODELS["direction"]
     if len(asked) > FEW or not all(map(better.answers_for, asked)):
         better = MODELS["renewal"]
@@ -106,12 +112,7 @@ def describe(circuit: Circuit, model: Model) -> dict[str, object]:
                 for state in model.states(circuit)
             ],
             "transition_width": theory.transition_width(own),
-            "urn_area": _area(own),
+            "urn_area": _of_sides(own, [float(side.urn_area) for side in own.sides]),
             **model.extras(own),
         }
     )
-
-
-def _area(circuit: Circuit) -> float | list[float]:
-    areas = [float(side.urn_area) for side in circuit.sides]
-    return areas[0] if circuit.alike else areas

@@ -88,7 +88,7 @@ _OTHERS = (
     _model(
         ports.well_mixed, name="renewal_occupation", label="renewal gate with channels",
         meaning="as `renewal`, and particles in the channels taken into account", seconds=0.1,
-        dashes=":", aged=False, extras=MODELS["renewal"].extras,
+        dashes="-", aged=False, extras=MODELS["renewal"].extras,
     ),
     _model(
         ports.disc, name="two_port", label="two ports",
