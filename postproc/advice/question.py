@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import math
+import re
+import tempfile
 from collections.abc import Mapping
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import f90nml
@@ -13,11 +16,9 @@ from postproc import cli
 from postproc.advice import advice
 from postproc.advice.advice import table_of
 from postproc.circuits import Circuit
-from postproc.running import write_namelist
+from postproc.running import plan, write_namelist
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     from postproc.advice.advice import Advice, Groups
     from postproc.theory.circuit import Circuit as Model
 
@@ -27,6 +28,8 @@ KNOWN = {
     "gate": ("threshold", "threshold_fraction"),
     "particles": ("number", "urn1_number", "urn1_fraction", "seed", "initial_file"),
 }  # fmt: skip
+
+LENGTH = b"\n&run collisions = 10000000000 /\n"
 
 
 def advise(
@@ -86,11 +89,7 @@ def circuit_of(namelist: str | Path | Groups) -> tuple[Groups, Model]:
     particles, gate = groups.get("particles", {}), groups.get("gate", {})
     if particles.get("initial_file"):
         raise cli.InputError(f"{path}: there is no advice on &particles initial_file")
-    number = particles.get("number")
-    if not isinstance(number, int):
-        raise cli.InputError(f"{path}: &particles number is wanted, a whole number")
-    if ("threshold" in gate) == ("threshold_fraction" in gate):
-        raise cli.InputError(f"{path}: &gate threshold is wanted, or threshold_fraction")
+    number = particles["number"]
     fractions = np.atleast_1d(gate.get("threshold_fraction", []))
     thresholds = gate.get("threshold", [_nearest(one * number) for one in fractions])
     circuit = Circuit(number, thresholds, **groups.get("table", {})).model()
@@ -128,12 +127,25 @@ def _nearest(number: float) -> int:
 
 
 def _groups_of(namelist: str | Path | Groups) -> tuple[str, dict[str, Any]]:
-    """Return the name of a namelist for messages, and its values by group and key."""
+    """Return the name of a namelist for messages, and its values by group and key.
+
+    The program says what is wrong with it. Advice needs no length of a run, which it does.
+    """
     if isinstance(namelist, Mapping):
-        return "the namelist", f90nml.reads(write_namelist(None, namelist)).todict()
-    path = cli.existing_file(cli.path_of(namelist, "namelist"))
-    try:
-        text = path.read_text(encoding="utf-8-sig", errors="replace")  # comments may be in any
-        return str(path), f90nml.reads(text).todict()
-    except (ValueError, StopIteration, AssertionError) as problem:
-        raise cli.InputError(f"{path}: is no namelist: {problem}") from problem
+        name, content = "the namelist", write_namelist(None, namelist).encode()
+    else:
+        path = cli.existing_file(cli.path_of(namelist, "namelist"))
+        name, content = str(path), path.read_bytes()
+    with tempfile.TemporaryDirectory() as folder:
+        copy = Path(folder, "namelist.nml")
+        length = b"" if re.search(rb"(?im)^\s*[&$]run\b", content) else LENGTH
+        copy.write_bytes(content + length)
+        try:
+            plan(copy, overwrite=True)
+        except cli.InputError as problem:
+            raise cli.InputError(str(problem).replace(str(copy.resolve()), name)) from problem
+    groups = f90nml.reads(content.decode("utf-8-sig", errors="replace")).todict()
+    # Besides keys that are given no value, f90nml adds places of those with indices.
+    return name, {group: {key: value for key, value in keys.items()
+                          if value is not None and key != "_start_index"}
+                  for group, keys in groups.items()}  # fmt: skip

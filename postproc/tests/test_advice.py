@@ -93,7 +93,11 @@ def test_a_namelist_and_the_same_circuit_by_options(
         (CASE.replace("&table", "&table urn_sides = 8,"), "&table urn_sides"),
         (CASE.replace("replicas = 4", "threshold = 3, 4, 5"), "one point only"),
         (CASE.replace("replicas = 4", "urn_radius2 = 0.8"), "no advice on &scan urn_radius2"),
-        (CASE.replace("number = 100", ""), "number is wanted"),
+        (CASE.replace("number = 100", ""), "number is missing"),
+        (CASE.replace("replicas = 4", "channel2_width = 1,5"), "below 2 urn_radius"),
+        (CASE.replace("&table", "&table channel1_length = 1,5,"), "has 2 values"),
+        (CASE + "&particles number = 3 /", "is given again"),
+        (CASE + "&output file = 'a /", "line"),
         (CASE.replace("number = 100", "number = 100, initial_file = 'a'"), "initial_file"),
     ],
 )
