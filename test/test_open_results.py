@@ -200,13 +200,14 @@ def test_files_of_the_version_before_are_read(tmp_path: Path) -> None:
 
 def test_a_file_that_was_opened_for_writing_is_read_with_one_warning(tmp_path: Path) -> None:
     """So is one to which something was added, and one that is open, also in this Python."""
-    path = results_of(tmp_path, {"threshold": "3, 7"})
+    path = results_of(tmp_path, {"threshold": "3, 7"}, output={"final_state": ".true."})
     before = postproc.open_results(path)
     with h5py.File(path, "a") as file:
         assert postproc.open_results(path).identical(before)
         file.attrs["remark"] = "of its reader"
     with pytest.warns(UserWarning, match="has no digest at its end") as warned:
         after = postproc.open_results(path)
+        assert after.final.equals(before.final)
     assert len(warned) == 1
     assert after.attrs.pop("remark") == "of its reader"
     assert after.identical(before)

@@ -150,9 +150,10 @@ def remarked(path: Path) -> None:
 
 
 def rewritten(path: Path) -> None:
-    """Write all anew in HDF5's latest format."""
+    """Write all anew in HDF5's latest format, with the attributes last, beyond 1 MiB."""
     old = path.rename(path.with_name("old.h5"))
     with h5py.File(old) as file, h5py.File(path, "w", libver="latest") as new:
+        new["bytes"] = bytearray(2**21)
         for name in file:
             file.copy(name, new)
         for name, value in file.attrs.items():
@@ -204,6 +205,18 @@ def test_a_file_that_lost_its_digest_is_left_alone_until_it_is_accepted(
     write(tmp_path, replicas=2)
     assert "going on: 2 of 4" in run("case.nml", folder=tmp_path).stdout
     assert_same(tmp_path / "out.h5", undisturbed)
+
+
+def test_a_file_behind_bytes_of_another_program_is_not_called_damaged(
+    whole: Path, tmp_path: Path
+) -> None:
+    """HDF5 may have a user block before it (`h5repack -u`); its data are whole."""
+    write(tmp_path)
+    (tmp_path / "out.h5").write_bytes(bytes(512) + (whole / "out.h5").read_bytes()[:-SEAL])
+    ended = run("case.nml", folder=tmp_path)
+    assert ended.returncode == 2
+    assert "move it away" in ended.stderr
+    assert "--overwrite" not in ended.stderr
 
 
 def without_chi(path: Path) -> None:

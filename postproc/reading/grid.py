@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from functools import cache, partial
 from itertools import chain
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import f90nml
 import numpy as np
@@ -346,13 +346,21 @@ def _independent(table: pd.DataFrame) -> list[str]:
     return chosen
 
 
+def groups_in(namelist: str) -> dict[str, Any]:
+    """Return values by group and key; none where the program accepts more than the reader does."""
+    try:
+        return f90nml.reads(namelist)  # type: ignore[no-any-return]
+    except Exception:  # of any class
+        return {}
+
+
 def _attributes(given: Sequence[dict[str, object]]) -> dict[str, object]:
     """Return the attributes that are the same in all, and what differs."""
     first, *others = given
     same = {name: value for name, value in first.items()
             if name == "version" or all(one.get(name) == value for one in others)}  # fmt: skip
     told = {name: [one.get(name) for one in given] for name in first if name not in UNSAID}
-    groups = [f90nml.reads(str(one.get("namelist", ""))) for one in given]
+    groups = [groups_in(str(one.get("namelist", ""))) for one in given]
     for group in ("run", "initial"):
         for key in sorted({key for one in groups for key in one.get(group, {})}):
             told[f"&{group} {key}"] = [one.get(group, {}).get(key) for one in groups]

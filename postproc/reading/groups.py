@@ -55,7 +55,7 @@ def group_of(data: xr.Dataset, group: str) -> xr.Dataset:
     parts = []
     for at in np.unique(file[places >= 0]).astype(int):
         path, mine = files[at], np.flatnonzero(file == at)
-        with ResultsFile(Path(path)) as opened, opened.damage_reported():
+        with ResultsFile(Path(path), quiet=True) as opened, opened.damage_reported():
             if created(data)[at] not in ("", str(opened.attributes.get("created", ""))):
                 raise InputError(f"{path}: has changed since it was opened")
             if not opened.has(group):

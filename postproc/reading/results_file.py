@@ -38,13 +38,14 @@ READABLE = ("0.1.", "0.2.", "0.3.", "0.4.")  # prefixes of the versions whose fi
 class ResultsFile:
     """An open results file; use it in a `with` statement, or read within `damage_reported`."""
 
-    def __init__(self, path: Path, *, verify: bool = False) -> None:
+    def __init__(self, path: Path, *, verify: bool = False, quiet: bool = False) -> None:
         """Open `path`; raise `InputError` unless it holds results of this program.
 
-        With `verify` the whole file is read, and its digest must be right.
+        With `verify` the whole file is read, and its digest must be right. `quiet`: it was opened
+        before, so that there is no further warning.
         """
         self.path = path
-        check_seal(existing_file(path), verify=verify)
+        check_seal(existing_file(path), verify=verify, quiet=quiet)
         self._file = _hdf5(path)
         try:
             with self.damage_reported():

@@ -8,6 +8,7 @@ it cuts it off when a program opens the file for writing.
 from __future__ import annotations
 
 import hashlib
+import mmap
 import os
 import re
 import warnings
@@ -22,7 +23,7 @@ if TYPE_CHECKING:
 LENGTH = 512
 FIRST_LINE = "battery results 1"
 REMARK = "Before these 512 bytes is HDF5; head -c -512 FILE | sha256sum gives the digits above."
-MARK = b"initial_file_fingerprint"  # near the beginning of every file of the program
+MARK = b"initial_file_fingerprint"  # in every file of the program, near its beginning
 PIECE = 2**20  # bytes that are read at once
 # Offsets of the length of the file in HDF5's superblock, by its version.
 ENDS = (40, 44, 28, 28)
@@ -34,7 +35,7 @@ def seal_of(count: int, digits: str) -> bytes:
     return f"{text:{LENGTH - 1}}\n".encode("ascii")
 
 
-def check_seal(path: Path, *, verify: bool = False) -> None:
+def check_seal(path: Path, *, verify: bool = False, quiet: bool = False) -> None:
     """Raise `InputError` unless a file ends with a seal for its length.
 
     A file that another program has opened for writing has lost its seal; it may still be whole, so
@@ -45,6 +46,7 @@ def check_seal(path: Path, *, verify: bool = False) -> None:
     path : the file.
     verify : whether to read the whole file, and require its digest. One whose seal is not as it was
         written is read whole in any case.
+    quiet : whether to give no warning.
     """
     with path.open("rb") as file:  # once: it may be replaced by a longer one meanwhile
         size = os.fstat(file.fileno()).st_size
@@ -55,30 +57,41 @@ def check_seal(path: Path, *, verify: bool = False) -> None:
         if in_place := last.startswith(FIRST_LINE.encode()):
             content = size - LENGTH
         else:  # it was cut off, in part or as a whole, or something is behind it
-            content = end if MARK in first and 0 < end <= size else size
+            content = end if 0 < end <= size and _has_mark(file, first) else size
         file.seek(content)
         digits = _digest_in(file.read(PIECE))
         whole = last == seal_of(size - LENGTH, digits)
         if digits and (verify or not whole) and digits != _digest(file, content):
             raise InputError(f"{path}: damaged: its digest is wrong")
-    if whole:
-        return
-    known = MARK in first and content == end
+        if whole:
+            return
+        marked = _has_mark(file, first)
+    known = marked and content == end
     if in_place and not (known and digits):
         raise InputError(f"{path}: damaged: its digest is wrong")
     if known and (digits or not verify):
+        if quiet:
+            return
         message = (
             f"{path}: was changed by another program, or is of a version before 0.2.0: it has no "
             "digest at its end; it is read as it is (battery --accept FILE.nml gives it a new one)"
         )
         warnings.warn(message, stacklevel=4)
-    elif MARK in first:
+    elif marked:
         reason = "cannot be verified" if known else "damaged"
         raise InputError(f"{path}: {reason}: it has no digest at its end")
     elif first.startswith(b"\x89HDF"):
         raise InputError(f"{path}: HDF5, but not written by battery, or only a piece of its file")
     else:
         raise InputError(f"{path}: not an HDF5 file")
+
+
+def _has_mark(file: BinaryIO, first: bytes) -> bool:
+    """Return whether a file is HDF5 and has the mark; programs that write it anew may move it."""
+    if MARK in first or not first.startswith(b"\x89HDF"):
+        return MARK in first
+    with mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as content:
+        return content.find(MARK) >= 0
 
 
 def _digest_in(behind: bytes) -> str:

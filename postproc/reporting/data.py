@@ -9,7 +9,6 @@ from itertools import islice
 from typing import TYPE_CHECKING
 
 import contourpy
-import f90nml
 import numpy as np
 
 from postproc.cli import InputError
@@ -22,6 +21,7 @@ from postproc.figures.maps import (
     map_of,
     transition_lines,
 )
+from postproc.reading.grid import groups_in
 from postproc.reading.groups import each_series
 from postproc.reading.points import current_name, groups, keys_of, second_values
 from postproc.reading.table import table
@@ -241,10 +241,7 @@ def namelist_of_point(points: xr.Dataset) -> tuple[str, Columns]:
     Empty for merged results of several namelists.
     """
     text, values = str(points.attrs.get("namelist", "")), {}
-    try:
-        groups = f90nml.reads(text)
-    except Exception:  # of any class, where the program accepts more than this reader
-        return text, {}
+    groups = groups_in(text)
     group = groups.get("scan", {})
     for key in list(group):
         name = key.removesuffix("_range")
@@ -254,4 +251,4 @@ def namelist_of_point(points: xr.Dataset) -> tuple[str, Columns]:
             del group[key]
             group[name] = f"@{name}@"
             values[name] = np.broadcast_to(points[source].values, points.sizes["point"])
-    return str(groups), values
+    return str(groups) if groups else text, values

@@ -114,6 +114,8 @@ contains
       part = file//'.part, under which the results are written first'
     else if (same_file(file//'.owner', path)) then
       part = file//'.owner, which says who writes the results'
+    else if (same_file(file//'.partial.h5', path)) then
+      part = file//'.partial.h5, the partial results file'
     else if (same_file(file//'.damaged', path)) then
       part = file//'.damaged, the name of a results file that is damaged'
     else if (same_file(file//'.tasks', path)) then

@@ -32,12 +32,13 @@ module battery_checksum_footer
   !> What stands before the digest.
   character(len=*), parameter :: digest_word = new_line('a')//'sha256 '
 
-  !> An attribute that only files of this program have, near their beginning.
+  !> An attribute that only files of this program have, near their beginning. Programs that write
+  !> HDF5 anew may move it.
   character(len=*), parameter :: mark = 'initial_file_fingerprint'
 
   !> First bytes of a file that are examined; one of fewer than `shortest` is cut off in the first
-  !> block of HDF5.
-  integer, parameter :: beginning = 1024**2, shortest = 64
+  !> block of HDF5; bytes of zeros that a crash of the machine leaves at the beginning, if not all.
+  integer, parameter :: beginning = 1024**2, shortest = 64, block = 4096
 
   !> Advice about something else that has the name of the results file.
   character(len=*), parameter :: leave_it = '; name another output file, or move it away'
@@ -143,8 +144,8 @@ contains
     else if (index(footer, first_line) == 1 .and. (digest_in(footer) /= digits .or. &
       end_in_hdf5(first) /= content)) then
       call fatal_error(error, name//' is damaged: its digest is wrong', exit_failure)
-    else if (index(first, mark) > 0 .and. end_in_hdf5(first) > 0 .and. end_in_hdf5(first) &
-      <= bytes) then
+    else if (end_in_hdf5(first) > 0 .and. end_in_hdf5(first) <= bytes .and. has_mark(name, &
+      first)) then
       ! Its footer was cut off, in part or as a whole, or something is behind it. A digest that is
       ! left must be that of the HDF5 before it.
       call check_what_is_left(name, bytes - end_in_hdf5(first), error)
@@ -161,6 +162,30 @@ contains
         exit_bad_input)
     end if
   end subroutine check_footer
+
+  !> Whether a file is HDF5 and has the mark. It is read on if its first bytes do not have it.
+  logical function has_mark(name, first) result(yes)
+    !> Path of the file; its first bytes.
+    character(len=*), intent(in) :: name, first
+    character(len=beginning) :: piece
+    integer(int64) :: bytes, at
+    integer :: unit, status
+
+    yes = index(first, mark) > 0
+    if (yes .or. .not. is_results_file(first)) return
+    open (newunit=unit, file=name, access='stream', form='unformatted', action='read', &
+      status='old', iostat=status)
+    if (status /= 0) return
+    inquire (unit, size=bytes)
+    ! Pieces overlap, since the mark may lie across the end of one.
+    do at = 1, bytes, beginning - len(mark)
+      piece = ''
+      read (unit, pos=at, iostat=status) piece(:min(bytes - at + 1, int(beginning, int64)))
+      yes = status == 0 .and. index(piece, mark) > 0
+      if (yes .or. status /= 0) exit
+    end do
+    close (unit)
+  end function has_mark
 
   !> Checks what is left of the footer of a results file behind its HDF5: if it has a digest, that
   !> must be right.
@@ -242,7 +267,7 @@ contains
     character(len=*), intent(in) :: first
     integer(int64), intent(in) :: bytes
 
-    yes = is_results_file(first) .or. verify(first(:min(shortest, len(first))), achar(0)) == 0
+    yes = is_results_file(first) .or. verify(first(:min(block, len(first))), achar(0)) == 0
     yes = yes .and. (index(first, mark) > 0 .or. len(first) < shortest .or. &
       bytes < end_in_hdf5(first) .or. verify(first, achar(0)) == 0)
   end function may_be_results
