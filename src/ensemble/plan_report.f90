@@ -2,10 +2,10 @@
 module battery_plan_report
   use battery_kinds, only: wp, dp, int64
   use battery_clocks, only: cpu_seconds
-  use battery_columns, only: print_row, rate_text
   use battery_engine, only: particles_type
   use battery_error, only: error_type
-  use battery_json_report, only: write_plan_json
+  use battery_findings, only: findings_type, findings_text
+  use battery_json_report, only: write_json
   use battery_available_memory, only: estimate_type, size_text
   use battery_merge, only: sources_type, close_sources
   use battery_startup, only: progress_type, inspect_output, set_pending, further_text
@@ -18,10 +18,13 @@ module battery_plan_report
   use battery_table, only: channel1, channel2
   use battery_tasks, only: task_type, task_count, task_of, initial_particles
   use battery_terminal, only: print_line
-  use battery_text, only: duration_text, string_type, to_text, count_text, numbers_text
+  use battery_text, only: duration_text, rate_text, to_text, count_text, numbers_text
   implicit none (type, external)
   private
   public :: print_plan_report
+
+  !> Columns of the names.
+  integer, parameter :: name_columns = 12
 
   !> Largest number of tasks run for the calibration, and seconds spent on each.
   integer, parameter :: most_tries = 5
@@ -44,9 +47,8 @@ contains
     type(progress_type) :: progress
     type(results_type) :: results
     character(len=:), allocatable :: message
-    type(string_type), allocatable :: remarks(:)
+    type(findings_type) :: remarks
     real(dp) :: seconds, rate
-    integer :: at
 
     message = ''
     if (overwrite) then
@@ -63,9 +65,7 @@ contains
     call calibrate(plan, progress%pending, estimate%number, seconds, rate, error)
     if (allocated(error)) return
     remarks = remarks_of(plan, seconds*ceiling(real(task_count(plan), dp)/ranks))
-    do at = 1, size(remarks)
-      call print_row('remark:', remarks(at)%text)
-    end do
+    if (remarks%count > 0) call print_line(findings_text(remarks, 'remark', name_columns))
     call print_row('finished:', count_text(progress%finished, 'task')//'; to be done: ' &
       //to_text(size(progress%pending))//further_text(progress))
     if (rate > 0.0_dp) &
@@ -76,8 +76,9 @@ contains
     call print_memory(estimate)
     call print_row('results:', plan%file)
     call print_line('nothing was written')
-    call write_plan_json(json, task_count(plan), size(progress%pending), seconds, &
-      estimate%task, error)
+    call write_json(json, '"tasks": '//to_text(task_count(plan))//', "pending": ' &
+      //to_text(size(progress%pending))//', "seconds_a_task": '//to_text(seconds) &
+      //', "memory_a_rank": '//to_text(estimate%task), error)
 
   contains
 
@@ -193,6 +194,16 @@ contains
     end function pair_text
 
   end subroutine print_parameters
+
+  !> Prints a name and, from the same column on in all lines, what there is to say of it.
+  subroutine print_row(name, text)
+    !> Name of at most 11 characters; empty: the line belongs to the one before.
+    character(len=*), intent(in) :: name
+    !> Text without a line end.
+    character(len=*), intent(in) :: text
+
+    call print_line(name//repeat(' ', name_columns - len(name))//text)
+  end subroutine print_row
 
   !> Text for the kind of polygons that the urns are.
   function outline_text(plan) result(text)

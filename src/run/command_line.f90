@@ -46,16 +46,16 @@ module battery_command_line
 
 contains
 
-  !> The program's own arguments, without its name.
+  !> The command line of this process: the name of the program, and its own arguments.
   function command_line_words() result(words)
     type(string_type), allocatable :: words(:)
     integer :: at, length
 
-    allocate (words(command_argument_count()))
+    allocate (words(1 + command_argument_count()))
     do at = 1, size(words)
-      call get_command_argument(at, length=length)
+      call get_command_argument(at - 1, length=length)
       allocate (character(len=length) :: words(at)%text)
-      if (length > 0) call get_command_argument(at, words(at)%text)
+      if (length > 0) call get_command_argument(at - 1, words(at)%text)
     end do
   end function command_line_words
 
