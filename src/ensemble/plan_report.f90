@@ -141,7 +141,7 @@ contains
     call print_row('engine:', plan%engine)
     outline = ''
     if (plan%urn_shape /= 'disc') outline = ', '//outline_text(plan)
-    call print_row('shape:', plan%shape//outline//', urn radius '//pair_text( &
+    call print_row('shape:', plan%shape//outline//', urn radius '//range_text( &
       points%urn_radius(1), points%urn_radius(2)))
     call print_row('channel 1:', 'w = '//range_text(points%channel(channel1)%width)//', l = ' &
       //range_text(points%channel(channel1)%length))
@@ -151,7 +151,7 @@ contains
     if (size(plan%scatterers) > 0) &
       call print_row('', 'with '//count_text(size(plan%scatterers)/3, 'scatterer'))
     call print_row('N:', range_text(real(points%number, wp)))
-    call print_row('T:', pair_text(real(points%threshold(1), wp), real(points%threshold(2), wp)))
+    call print_row('T:', range_text(real(points%threshold(1), wp), real(points%threshold(2), wp)))
     call print_row('urn 1:', range_text(real(points%urn1_number, wp))//' particles at the start')
     if (plan%duration > 0.0_wp) then
       call print_row('length:', to_text(plan%duration)//' time units each, the first ' &
@@ -174,24 +174,18 @@ contains
         //to_text(values(size(values)))//' ('//to_text(size(values))//' values)'
     end function list_text
 
-    !> Least and greatest value of one quantity.
-    function range_text(values) result(text)
+    !> Least and greatest value of a quantity; of one of both urns, unless they are equal, those of
+    !> the other as well.
+    pure recursive function range_text(values, others) result(text)
       real(wp), intent(in) :: values(:)
+      real(wp), intent(in), optional :: others(:)
       character(len=:), allocatable :: text
 
       text = to_text(minval(values))
       if (maxval(values) > minval(values)) text = text//' ... '//to_text(maxval(values))
+      if (plan%shape == 'urn' .or. .not. present(others)) return
+      if (range_text(others) /= text) text = text//' and '//range_text(others)
     end function range_text
-
-    !> Ranges of a quantity of both urns, once if they are equal.
-    function pair_text(one, other) result(text)
-      real(wp), intent(in) :: one(:), other(:)
-      character(len=:), allocatable :: text
-
-      text = range_text(one)
-      if (plan%shape /= 'urn' .and. range_text(other) /= text) text = text//' and ' &
-        //range_text(other)
-    end function pair_text
 
   end subroutine print_parameters
 

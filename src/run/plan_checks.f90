@@ -60,32 +60,28 @@ contains
   !> length, in collisions or in time; a limit of the replicas requires a precision.
   subroutine check_given(plan)
     type(plan_type), intent(inout) :: plan
-    logical :: as_number, as_second, as_fraction
 
-    if (is_given(plan%settings, 'precision', 'largest_replicas') .and. &
+    if (is_given(plan%settings, 'largest_replicas') .and. &
       .not. any(plan%precision > 0.0_wp)) call refuse_key(plan, 'largest_replicas', &
       'is given without a precision', 'beside chi_replica_error or polarised_current_replica_error')
     if (plan%duration > 0.0_wp) then
-      if (is_given(plan%settings, 'run', 'collisions')) call refuse_key(plan, 'collisions', &
+      if (is_given(plan%settings, 'collisions')) call refuse_key(plan, 'collisions', &
         'is given beside duration', 'one of the two')
-      if (is_given(plan%settings, 'run', 'transient_collisions')) call refuse_key(plan, &
+      if (is_given(plan%settings, 'transient_collisions')) call refuse_key(plan, &
         'transient_collisions', 'is given beside duration', 'transient_duration')
     end if
     associate (base => plan%base%of)
-      if (.not. (base(key_number)%known .or. is_scanned(plan, 'number'))) &
-        call refuse_value(plan, 'number', 'is missing', 'one whole number from 1 up', of_missing)
-      as_number = base(key_threshold)%known .or. is_scanned(plan, 'threshold')
-      as_second = is_scanned(plan, 'threshold2')
-      as_fraction = base(key_threshold_fraction)%known .or. is_scanned(plan, 'threshold_fraction')
-      if (.not. (as_number .or. as_fraction)) call refuse_value(plan, 'threshold', 'is missing', &
-        'one whole number or two from 0 up, or threshold_fraction, or a list of either in &scan', &
-        of_missing)
-      if ((as_number .or. as_second) .and. as_fraction) call refuse_key(plan, &
-        'threshold_fraction', 'is given beside '//trim(merge('threshold ', 'threshold2', &
-        as_number)), 'one of the two')
-      if (plan%base%urn1_number /= not_given .and. (base(key_urn1_fraction)%known &
-        .or. is_scanned(plan, 'urn1_fraction'))) call refuse_key(plan, 'urn1_number', &
-        'is given beside urn1_fraction', 'one of the two')
+      if (.not. base(key_number)%known) call refuse_value(plan, 'number', 'is missing', &
+        'one whole number from 1 up', of_missing)
+      if (.not. any(base([key_threshold, key_threshold_fraction])%known)) call refuse_value(plan, &
+        'threshold', 'is missing', 'one whole number or two from 0 up, or threshold_fraction, or a ' &
+        //'list of either in &scan', of_missing)
+      if ((base(key_threshold)%known .or. is_scanned(plan, 'threshold2')) .and. &
+        base(key_threshold_fraction)%known) call refuse_key(plan, 'threshold_fraction', &
+        'is given beside '//trim(merge('threshold ', 'threshold2', base(key_threshold)%known)), &
+        'one of the two')
+      if (plan%base%urn1_number /= not_given .and. base(key_urn1_fraction)%known) call refuse_key( &
+        plan, 'urn1_number', 'is given beside urn1_fraction', 'one of the two')
     end associate
     if (plan%shape == 'urn') then
       call refuse_scan('channel2_width', 'the shape ''urn'' has no channel 2')
