@@ -17,7 +17,7 @@
 !> exact engines, T up to 20, and runs without an initial file. Otherwise, and if the balance has no
 !> polarised state, no remark is made.
 module battery_current_age
-  use battery_kinds, only: dp, int64
+  use battery_kinds, only: wp, dp, int64, pi
   use battery_plan, only: plan_type, point_type, point_of, point_text, table_of
   use battery_table, only: table_type, area, perimeter, channel1, channel2
   use battery_text, only: to_text, duration_text
@@ -32,8 +32,6 @@ module battery_current_age
     !> The time tau after which a circulating particle is reversed.
     real(dp) :: lifetime = 1.0_dp
   end type circulation_type
-
-  real(dp), parameter :: pi = acos(-1.0_dp)
 
   !> Fitted numbers: the factor of (1), and the factor of the dense gate's load.
   real(dp), parameter :: steepness = 3.0_dp, dense_load = 0.85_dp
@@ -117,7 +115,7 @@ contains
     time = 1.0_dp
     if (plan%duration > 0.0_dp) return
     table = table_of(plan, point)
-    time = pi*real(area(table)/perimeter(table), dp)/real(point%number, dp)
+    time = real(pi*area(table)/perimeter(table), dp)/real(point%number, dp)
   end function time_unit
 
   !> Circulation at a parameter point whose urns are discs.
@@ -125,7 +123,9 @@ contains
     type(point_type), intent(in) :: point
     !> It converges within some tens of steps, except near the largest load without polarisation.
     integer, parameter :: most_steps = 10000
-    real(dp) :: width(2), radius(2), load, sparse, before, round_length
+    !> No u_n is above this, so that their sum is finite.
+    real(dp), parameter :: enough = 1.0e100_dp
+    real(dp) :: width(2), radius(2), load, widths, sparse, before, round_length, u, total
     integer :: step
 
     width = real(point%channel%width, dp)
@@ -135,22 +135,30 @@ contains
         .or. any(radius < maxval(radius)) .or. .not. width(channel2) > 0.0_dp) return
       ! Mean number in a gate over number in its urn: w/(pi A) entries per unit of time, each for pi
       ! l/4.
-      load = width(channel1)*real(point%channel(channel1)%length, dp)/(4.0_dp*pi*radius(1)**2)
+      load = width(channel1)*real(point%channel(channel1)%length/(4.0_wp*pi), dp)/radius(1)**2
       ! Number of particles in the sparse urn for which the current through channel 2 equals that of
       ! channel 1 in the other direction, by iteration from an empty urn; at most half of all.
+      widths = width(channel2)/width(channel1)
       sparse = 0.0_dp
       do step = 1, most_steps
         before = sparse
         ! What flows into the sparse urn over the flow out of it of each of its particles.
-        sparse = min(0.5_dp*number, (number - sparse)*(width(channel2)/width(channel1) &
-          + chance_below(threshold, dense_load*load*(number - sparse)))/(width(channel2) &
-          /width(channel1) + chance_below(threshold, load*sparse)))
+        sparse = min(0.5_dp*number, (number - sparse)*(widths + chance_below(threshold, &
+          dense_load*load*(number - sparse)))/(widths + chance_below(threshold, load*sparse)))
         if (abs(sparse - before) <= epsilon(number)*number) exit
       end do
       if (sparse > 0.5_dp*(1.0_dp - polarised)*number) return
       round_length = sum(sqrt(4.0_dp*radius**2 - width**2) + real(point%channel%length, dp))
       found%growth = steepness*width(channel2)/round_length
-      found%lifetime = round_length/reversed_share(threshold, load*sparse)
+      ! A gate with exponentially distributed passage times reverses of its entries the fraction
+      ! (T + 1) over the sum of u_n, u_0 = 1, u_n = 1 + n u_(n-1)/load.
+      u = 1.0_dp
+      total = 1.0_dp
+      do step = 1, threshold
+        u = min(enough, 1.0_dp + real(step, dp)*u/(load*sparse))
+        total = total + u
+      end do
+      found%lifetime = round_length*total/real(threshold + 1, dp)
     end associate
   end function circulation_at
 
@@ -160,25 +168,10 @@ contains
     real(dp), intent(in) :: mean
     integer :: k
 
-    chance = exp(-mean)*sum([(mean**k/gamma(real(k + 1, dp)), k=0, threshold - 1)])
+    ! By logarithms, since powers of a large mean overflow.
+    chance = sum([(exp(k*log(max(mean, tiny(mean))) - mean - log_gamma(real(k + 1, dp))), k=0, &
+      threshold - 1)])
   end function chance_below
-
-  !> Fraction of entries that a gate with exponentially distributed passage times reverses: (T + 1)
-  !> over the sum of u_n, u_0 = 1, u_n = 1 + n u_(n-1)/load.
-  pure real(dp) function reversed_share(threshold, load) result(share)
-    integer, intent(in) :: threshold
-    !> Mean number of particles inside if the gate never reversed, above 0.
-    real(dp), intent(in) :: load
-    real(dp), parameter :: enough = 1.0e100_dp
-    real(dp) :: u(0:threshold)
-    integer :: n
-
-    u = 1.0_dp
-    do n = 1, threshold
-      u(n) = min(enough, 1.0_dp + real(n, dp)*u(n - 1)/load)
-    end do
-    share = real(threshold + 1, dp)/sum(u)
-  end function reversed_share
 
   !> Relative deficit of a current: (1) averaged over ages.
   pure real(dp) function lacking_share(circulation, ages)
@@ -189,10 +182,9 @@ contains
     real(dp) :: age(parts)
     integer :: k
 
-    age = (ages(1) + (ages(2) - ages(1))*[((real(k, dp) - 0.5_dp)/real(parts, dp), k=1, parts)]) &
-      /circulation%lifetime
-    age = max(age, tiny(1.0_dp))
-    lacking_share = circulation%growth*sum(exp(-age)*log(1.0_dp + 1.0_dp/age))/real(parts, dp)
+    age = max(tiny(1.0_dp), (ages(1) + (ages(2) - ages(1))*([(k, k=1, parts)] - 0.5_dp)/parts) &
+      /circulation%lifetime)
+    lacking_share = circulation%growth*sum(exp(-age)*log(1.0_dp + 1.0_dp/age))/parts
   end function lacking_share
 
   !> Transient, the least in steps of 1 %, after which the current of a run that measures twice as
