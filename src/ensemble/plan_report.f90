@@ -2,7 +2,6 @@
 module battery_plan_report
   use battery_kinds, only: wp, dp, int64
   use battery_clocks, only: cpu_seconds
-  use battery_engine, only: particles_type
   use battery_error, only: error_type
   use battery_findings, only: findings_type, findings_text
   use battery_json_report, only: write_json
@@ -14,9 +13,9 @@ module battery_plan_report
   use battery_precision, only: decide_replicas
   use battery_results, only: results_type, new_results
   use battery_signals, only: stop_requested, set_stop_error
-  use battery_simulation, only: simulation_type, begin_simulation, advance_simulation
+  use battery_simulation, only: simulation_type, advance_simulation
   use battery_table, only: channel1, channel2
-  use battery_tasks, only: task_type, task_count, task_of, initial_particles
+  use battery_tasks, only: task_type, task_count, task_of, begin_task
   use battery_terminal, only: print_line
   use battery_text, only: duration_text, rate_text, to_text, count_text, numbers_text
   implicit none (type, external)
@@ -232,7 +231,6 @@ contains
     type(error_type), allocatable, intent(out) :: error
     type(task_type) :: task
     type(simulation_type) :: simulation
-    type(particles_type) :: particles
     integer :: tries, tried, k
     real(dp) :: began, spent, collisions, share
 
@@ -244,8 +242,7 @@ contains
       task = task_of(plan, pending(1 + int(int(size(pending) - 1, int64)*(k - 1) &
         /max(tries - 1, 1))))
       if (task%setup%number > most) cycle
-      call initial_particles(task, plan%file_particles, particles, error)
-      if (.not. allocated(error)) call begin_simulation(simulation, task%setup, particles, error)
+      call begin_task(task, plan%file_particles, simulation, error)
       if (allocated(error)) return
       began = cpu_seconds()
       do

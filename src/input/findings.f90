@@ -6,7 +6,7 @@ module battery_findings
   implicit none (type, external)
   private
   public :: finding_type, findings_type, point_findings_type
-  public :: finding_of, add_finding, findings_text, add_point_findings, displayable_text
+  public :: finding_of, add_finding, findings_text, add_point_findings, suggestion, displayable_text
 
   !> Largest number of problems that are reported one by one, and of problems of points that are
   !> stored; of the others, only the number.
@@ -194,6 +194,16 @@ contains
       gathered%more = .true.
     end if
   end subroutine count_finding
+
+  !> Question whether a name, after its sign (such as `&`), was meant; empty if there is no name.
+  pure function suggestion(sign, name) result(text)
+    !> Sign, and name that exists; empty: none is similar.
+    character(len=*), intent(in) :: sign, name
+    character(len=:), allocatable :: text
+
+    text = ''
+    if (name /= '') text = ' (did you mean '//sign//name//'?)'
+  end function suggestion
 
   !> A word of a file made safe to print: shortened, control characters replaced by `?`.
   pure function displayable_text(word) result(shown)

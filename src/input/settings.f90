@@ -7,7 +7,7 @@ module battery_settings
   use battery_kinds, only: wp, int32, int64
   use battery_text, only: string_type, to_text, lower_case, join, closest_word
   use battery_numbers, only: read_whole, read_decimal
-  use battery_findings, only: findings_type, finding_of, add_finding, of_group
+  use battery_findings, only: findings_type, finding_of, add_finding, suggestion, of_group
   use battery_namelist_text, only: value_type, entry_type, reader_type, reader_of, read_next, &
     written_text
   use battery_key, only: key_type, distinct_names, find_key, allowed_text, is_beyond, whole_key, &
@@ -201,15 +201,6 @@ contains
       join(distinct_names(pack(keys%name, keys%group == entry%group)), ', '), problems)
   end subroutine refuse_key
 
-  !> Question whether a name, after its sign (such as `&`), was meant; empty if there is no name.
-  pure function suggestion(sign, name) result(text)
-    character(len=*), intent(in) :: sign, name
-    character(len=:), allocatable :: text
-
-    text = ''
-    if (name /= '') text = ' (did you mean '//sign//name//'?)'
-  end function suggestion
-
   !> Adds a problem of an entry.
   subroutine refuse_entry(entry, wrong, allowed, problems)
     type(entry_type), intent(in) :: entry
@@ -400,7 +391,8 @@ contains
       wrong = 'how many is not a whole number from 1 to '//to_text(longest_range)
   end function wrong_range
 
-  !> Place of a key, which must be declared, in the settings: in its own group, if a scan can vary it.
+  !> Place of a key, which must be declared, in the settings: in its own group, also if a scan can
+  !> vary it.
   pure integer function find_setting(settings, name) result(place)
     type(settings_type), intent(in) :: settings
     !> Name of the key in small letters.

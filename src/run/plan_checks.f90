@@ -18,14 +18,16 @@ module battery_plan_checks
   use battery_findings, only: finding_type, add_point_findings, of_missing
   use battery_outline_checks, only: check_outlines, check_outline_at, has_outline, &
     has_valid_outlines
-  use battery_bounds, only: bounds_text, can_count_hits, finest, greatest_radius, &
-    of_powers, of_lengths, of_widths, of_times, of_clocks
+  use battery_bounds, only: can_count_hits, finest, greatest_radius
   implicit none (type, external)
   private
   public :: complete_plan
 
   !> Largest number of tasks: points times replicas.
   integer(int64), parameter :: most_tasks = 10000000_int64
+
+  !> Reasons for bounds of a value.
+  integer, parameter :: of_powers = 1, of_lengths = 2, of_widths = 3, of_times = 4, of_clocks = 5
 
 contains
 
@@ -74,8 +76,8 @@ contains
       if (.not. base(key_number)%known) call refuse_value(plan, 'number', 'is missing', &
         'one whole number from 1 up', of_missing)
       if (.not. any(base([key_threshold, key_threshold_fraction])%known)) call refuse_value(plan, &
-        'threshold', 'is missing', 'one whole number or two from 0 up, or threshold_fraction, or a ' &
-        //'list of either in &scan', of_missing)
+        'threshold', 'is missing', 'one whole number or two from 0 up, or threshold_fraction, or ' &
+        //'a list of either in &scan', of_missing)
       if ((base(key_threshold)%known .or. is_scanned(plan, 'threshold2')) .and. &
         base(key_threshold_fraction)%known) call refuse_key(plan, 'threshold_fraction', &
         'is given beside '//trim(merge('threshold ', 'threshold2', base(key_threshold)%known)), &
@@ -397,9 +399,26 @@ contains
     !> The value, its bounds, and the reason for them.
     real(wp), intent(in) :: value, least, most
     integer, intent(in) :: reason
+    character(len=:), allocatable :: why
 
-    if (.not. (value >= least .and. value <= most)) &
-      call refuse_value(plan, key, to_text(value), bounds_text(least, most, reason))
+    if (value >= least .and. value <= most) return
+    select case (reason)
+    case (of_powers)
+      why = 'whose fourth powers are finite'
+    case (of_lengths)
+      why = 'so that '//to_text(finest) &
+        //' of the longest of urn_radius and the channels'' lengths is no longer than the shortest'
+    case (of_widths)
+      why = 'which are '//to_text(finest) &
+        //' of the longest length of the table, and 2 urn_radius less that share of urn_radius'
+    case (of_times)
+      why = 'which are '//to_text(finest)//' of the longest length of the table, and ' &
+        //to_text(longest_run)//' urn_radius'
+    case default
+      why = 'which is '//to_text(longest_run)//' urn_radius'
+    end select
+    call refuse_value(plan, key, to_text(value), 'from '//to_text(least)//' to '//to_text(most) &
+      //', '//why)
   end subroutine check_range
 
   !> Length of channel 2, or 0 if it is closed.
