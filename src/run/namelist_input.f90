@@ -266,7 +266,6 @@ contains
   subroutine add_problem(plan, problem)
     type(plan_type), intent(inout) :: plan
     type(finding_type), intent(in) :: problem
-    type(finding_type) :: placed
     logical, allocatable :: refused(:)
     integer :: place, next
 
@@ -282,12 +281,9 @@ contains
       if (refused(place)) return
       if (problem%kind == of_missing .and. any(refused .and. index(all%key%name, problem%key) &
         == 1)) return
-      placed = problem
-      if (all(place)%given) placed%line = all(place)%line
-      placed%group = trim(all(place)%key%group)
-      placed%key = trim(all(place)%key%name)
-      placed%allowed = problem%allowed//points_text(plan, problem)
-      call add_finding(plan%settings%problems, placed)
+      call add_finding(plan%settings%problems, finding_of(all(place)%line, problem%value, &
+        problem%allowed//points_text(plan, problem), trim(all(place)%key%group), &
+        trim(all(place)%key%name), problem%kind))
     end associate
   end subroutine add_problem
 
