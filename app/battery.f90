@@ -44,6 +44,7 @@ program battery
   end if
   call open_communicator(communicator)
   words = command_line_words()
+  words = words(2:)
   call check_command_lines(communicator, words, error)
   if (.not. allocated(error)) call parse_arguments(words, command_line, error)
   if (.not. allocated(error)) then

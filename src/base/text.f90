@@ -5,7 +5,7 @@ module battery_text
   implicit none (type, external)
   private
   public :: string_type, to_text, lower_case, join, numbers_text, lines_of, closest_word, is_one_of
-  public :: new_line_character, printable, count_text, duration_text
+  public :: new_line_character, printable, count_text, duration_text, rate_text
 
   character(len=1), parameter :: new_line_character = achar(10)
 
@@ -342,5 +342,19 @@ contains
     end if
     text = trim(buffer)
   end function duration_text
+
+  !> A rate with three digits, such as `2.13e8`.
+  pure function rate_text(rate) result(text)
+    !> Rate in any unit, not negative.
+    real(dp), intent(in) :: rate
+    character(len=:), allocatable :: text
+    character(len=32) :: buffer
+    integer :: power
+
+    power = 0
+    if (rate > 0.0_dp) power = floor(log10(rate))
+    write (buffer, '(f4.2, a, i0)') rate/10.0_dp**power, 'e', power
+    text = trim(buffer)
+  end function rate_text
 
 end module battery_text

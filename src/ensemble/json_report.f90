@@ -5,13 +5,12 @@ module battery_json_report
   use battery_file_text, only: read_input, write_file, is_standard_output
   use battery_files, only: file_exists
   use battery_input_files, only: part_of_output, reason_unwritable
-  use battery_kinds, only: dp, int64
+  use battery_kinds, only: int64
   use battery_paths, only: is_pipe_or_device, same_file, real_folder_of
   use battery_plan, only: plan_type
-  use battery_text, only: to_text
   implicit none (type, external)
   private
-  public :: check_json_file, write_run_json, write_plan_json
+  public :: check_json_file, write_run_json, write_json
 
   !> First member of each object, by which its file is recognised.
   character(len=*), parameter :: mark = '{"written_by": "battery --json"'
@@ -79,30 +78,16 @@ contains
     place = 'null'
     if (folder /= '') &
       place = json_text(folder//'/'//results(index(results, '/', back=.true.) + 1:))
-    call write_members(path, '"results": '//place, error)
+    call write_json(path, '"results": '//place, error)
   end subroutine write_run_json
 
-  !> Writes the number of tasks of a plan, and its estimated time and memory.
-  subroutine write_plan_json(path, tasks, pending, seconds, memory, error)
+  !> Writes an object with these members behind its mark.
+  subroutine write_json(path, members, error)
     !> Path of the JSON file; empty: none is written.
     character(len=*), intent(in) :: path
-    !> All tasks, and those that are still to be done.
-    integer, intent(in) :: tasks, pending
-    !> Processor time of one task in seconds; bytes of memory per rank.
-    real(dp), intent(in) :: seconds, memory
+    !> Names and values, separated by commas.
+    character(len=*), intent(in) :: members
     !> The JSON file cannot be written.
-    type(error_type), allocatable, intent(out) :: error
-    character(len=24) :: numbers(2)
-
-    write (numbers, '(es24.9e3)') seconds, memory
-    call write_members(path, '"tasks": '//to_text(tasks)//', "pending": '//to_text(pending) &
-      //', "seconds_a_task": '//trim(adjustl(numbers(1)))//', "memory_a_rank": ' &
-      //trim(adjustl(numbers(2))), error)
-  end subroutine write_plan_json
-
-  !> Writes an object with these members behind its mark.
-  subroutine write_members(path, members, error)
-    character(len=*), intent(in) :: path, members
     type(error_type), allocatable, intent(out) :: error
     character(len=:), allocatable :: reason
 
@@ -117,7 +102,7 @@ contains
     if (.not. allocated(error)) return
     error%message = 'battery: --json '//error%message
     error%code = exit_failure
-  end subroutine write_members
+  end subroutine write_json
 
   !> A text as a JSON string, with quotes and escapes.
   pure function json_text(text) result(quoted)

@@ -36,32 +36,21 @@ contains
     type(string_type), intent(in) :: words(:)
     !> The command lines differ; the same error on all ranks, code `exit_bad_input`.
     type(error_type), allocatable, intent(out) :: error
-    character(len=:), allocatable :: mine, first
+    character(len=:), allocatable :: mine, first, mine_shown, first_shown
 
     ! Words have no null characters: with one after each word, different lists give different texts.
     mine = join(words, achar(0))//repeat(achar(0), min(1, size(words)))
     first = mine
     call share_text(communicator, first, 0)
+    mine_shown = trim(join(words, ' '))
+    first_shown = mine_shown
+    call share_text(communicator, first_shown, 0)
     if (len(mine) /= len(first) .or. mine /= first) call fatal_error(error, 'battery: rank ' &
-      //to_text(communicator%rank)//' was started with another command line (' &
-      //command_line_of(mine)//') than rank 0 ('//command_line_of(first)// &
-      '); allowed: one command line for all ranks', exit_bad_input)
+      //to_text(communicator%rank)//' was started with another command line ('//mine_shown &
+      //') than rank 0 ('//first_shown//'); allowed: one command line for all ranks', &
+      exit_bad_input)
     call share_error(communicator, error)
   end subroutine check_command_lines
-
-  !> A list of words as typed on a command line.
-  pure function command_line_of(list) result(text)
-    !> Words, with a null character after each.
-    character(len=*), intent(in) :: list
-    character(len=:), allocatable :: text
-    integer :: at
-
-    text = list
-    do at = 1, len(text)
-      if (text(at:at) == achar(0)) text(at:at) = ' '
-    end do
-    text = trim(text)
-  end function command_line_of
 
   !> Checks that every rank sees, by its own path, the lock file of rank 0: a rank that was started
   !> in another folder would write into another run's journal. Numbers of devices and inodes cannot

@@ -9,6 +9,7 @@
 module battery_merge
   use battery_kinds, only: dp, int32, int64
   use battery_clocks, only: utc_now
+  use battery_command_line, only: command_line_words
   use battery_error, only: error_type, fatal_error, exit_bad_input
   use battery_files, only: file_stamp_type, has_stamp, may_open
   use battery_fingerprint, only: fingerprint_text
@@ -18,7 +19,7 @@ module battery_merge
   use battery_journal, only: journal_type, rank_file, rank_files_of
   use battery_plan, only: plan_type, point_of, setup_of
   use battery_precision, only: decide_replicas
-  use battery_provenance, only: attribute_type, build_attributes, command_text
+  use battery_provenance, only: attribute_type, build_attributes
   use battery_quantities, only: integer_quantities, place_of, unknown_real, unknown_count
   use battery_record_file, only: record_reader_type, open_records, close_records
   use battery_results, only: results_type, new_results, task_complete, task_failed, &
@@ -219,7 +220,8 @@ contains
     end if
     call write_text_attribute(file, '/', 'created', utc_now(), error)
     call make_group(file, '/provenance', error)
-    call write_text_attribute(file, '/provenance', 'command_line', command_text(), error)
+    call write_text_attribute(file, '/provenance', 'command_line', &
+      join(command_line_words(), ' '), error)
     call write_text_attribute(file, '/provenance', 'begun', start_date, error)
     call write_text_attribute(file, '/provenance', 'ended', utc_now(), error)
     call write_text_attribute(file, '/provenance', 'hosts', join(results%host, &

@@ -2,10 +2,9 @@
 module battery_plan_report
   use battery_kinds, only: wp, dp, int64
   use battery_clocks, only: cpu_seconds
-  use battery_columns, only: print_row, rate_text
-  use battery_engine, only: particles_type
   use battery_error, only: error_type
-  use battery_json_report, only: write_plan_json
+  use battery_findings, only: findings_type, findings_text
+  use battery_json_report, only: write_json
   use battery_available_memory, only: estimate_type, size_text
   use battery_merge, only: sources_type, close_sources
   use battery_startup, only: progress_type, inspect_output, set_pending, further_text
@@ -14,14 +13,17 @@ module battery_plan_report
   use battery_precision, only: decide_replicas
   use battery_results, only: results_type, new_results
   use battery_signals, only: stop_requested, set_stop_error
-  use battery_simulation, only: simulation_type, begin_simulation, advance_simulation
+  use battery_simulation, only: simulation_type, advance_simulation
   use battery_table, only: channel1, channel2
-  use battery_tasks, only: task_type, task_count, task_of, initial_particles
+  use battery_tasks, only: task_type, task_count, task_of, begin_task
   use battery_terminal, only: print_line
-  use battery_text, only: duration_text, string_type, to_text, count_text, numbers_text
+  use battery_text, only: duration_text, rate_text, to_text, count_text, numbers_text
   implicit none (type, external)
   private
   public :: print_plan_report
+
+  !> Columns of the names.
+  integer, parameter :: name_columns = 12
 
   !> Largest number of tasks run for the calibration, and seconds spent on each.
   integer, parameter :: most_tries = 5
@@ -44,9 +46,8 @@ contains
     type(progress_type) :: progress
     type(results_type) :: results
     character(len=:), allocatable :: message
-    type(string_type), allocatable :: remarks(:)
+    type(findings_type) :: remarks
     real(dp) :: seconds, rate
-    integer :: at
 
     message = ''
     if (overwrite) then
@@ -63,9 +64,7 @@ contains
     call calibrate(plan, progress%pending, estimate%number, seconds, rate, error)
     if (allocated(error)) return
     remarks = remarks_of(plan, seconds*ceiling(real(task_count(plan), dp)/ranks))
-    do at = 1, size(remarks)
-      call print_row('remark:', remarks(at)%text)
-    end do
+    if (remarks%count > 0) call print_line(findings_text(remarks, 'remark', name_columns))
     call print_row('finished:', count_text(progress%finished, 'task')//'; to be done: ' &
       //to_text(size(progress%pending))//further_text(progress))
     if (rate > 0.0_dp) &
@@ -76,8 +75,9 @@ contains
     call print_memory(estimate)
     call print_row('results:', plan%file)
     call print_line('nothing was written')
-    call write_plan_json(json, task_count(plan), size(progress%pending), seconds, &
-      estimate%task, error)
+    call write_json(json, '"tasks": '//to_text(task_count(plan))//', "pending": ' &
+      //to_text(size(progress%pending))//', "seconds_a_task": '//to_text(seconds) &
+      //', "memory_a_rank": '//to_text(estimate%task), error)
 
   contains
 
@@ -140,7 +140,7 @@ contains
     call print_row('engine:', plan%engine)
     outline = ''
     if (plan%urn_shape /= 'disc') outline = ', '//outline_text(plan)
-    call print_row('shape:', plan%shape//outline//', urn radius '//pair_text( &
+    call print_row('shape:', plan%shape//outline//', urn radius '//range_text( &
       points%urn_radius(1), points%urn_radius(2)))
     call print_row('channel 1:', 'w = '//range_text(points%channel(channel1)%width)//', l = ' &
       //range_text(points%channel(channel1)%length))
@@ -150,7 +150,7 @@ contains
     if (size(plan%scatterers) > 0) &
       call print_row('', 'with '//count_text(size(plan%scatterers)/3, 'scatterer'))
     call print_row('N:', range_text(real(points%number, wp)))
-    call print_row('T:', pair_text(real(points%threshold(1), wp), real(points%threshold(2), wp)))
+    call print_row('T:', range_text(real(points%threshold(1), wp), real(points%threshold(2), wp)))
     call print_row('urn 1:', range_text(real(points%urn1_number, wp))//' particles at the start')
     if (plan%duration > 0.0_wp) then
       call print_row('length:', to_text(plan%duration)//' time units each, the first ' &
@@ -173,26 +173,30 @@ contains
         //to_text(values(size(values)))//' ('//to_text(size(values))//' values)'
     end function list_text
 
-    !> Least and greatest value of one quantity.
-    function range_text(values) result(text)
+    !> Least and greatest value of a quantity; of one of both urns, unless they are equal, those of
+    !> the other as well.
+    pure recursive function range_text(values, others) result(text)
       real(wp), intent(in) :: values(:)
+      real(wp), intent(in), optional :: others(:)
       character(len=:), allocatable :: text
 
       text = to_text(minval(values))
       if (maxval(values) > minval(values)) text = text//' ... '//to_text(maxval(values))
+      if (plan%shape == 'urn' .or. .not. present(others)) return
+      if (range_text(others) /= text) text = text//' and '//range_text(others)
     end function range_text
 
-    !> Ranges of a quantity of both urns, once if they are equal.
-    function pair_text(one, other) result(text)
-      real(wp), intent(in) :: one(:), other(:)
-      character(len=:), allocatable :: text
-
-      text = range_text(one)
-      if (plan%shape /= 'urn' .and. range_text(other) /= text) text = text//' and ' &
-        //range_text(other)
-    end function pair_text
-
   end subroutine print_parameters
+
+  !> Prints a name and, from the same column on in all lines, what there is to say of it.
+  subroutine print_row(name, text)
+    !> Name of at most 11 characters; empty: the line belongs to the one before.
+    character(len=*), intent(in) :: name
+    !> Text without a line end.
+    character(len=*), intent(in) :: text
+
+    call print_line(name//repeat(' ', name_columns - len(name))//text)
+  end subroutine print_row
 
   !> Text for the kind of polygons that the urns are.
   function outline_text(plan) result(text)
@@ -227,7 +231,6 @@ contains
     type(error_type), allocatable, intent(out) :: error
     type(task_type) :: task
     type(simulation_type) :: simulation
-    type(particles_type) :: particles
     integer :: tries, tried, k
     real(dp) :: began, spent, collisions, share
 
@@ -239,8 +242,7 @@ contains
       task = task_of(plan, pending(1 + int(int(size(pending) - 1, int64)*(k - 1) &
         /max(tries - 1, 1))))
       if (task%setup%number > most) cycle
-      call initial_particles(task, plan%file_particles, particles, error)
-      if (.not. allocated(error)) call begin_simulation(simulation, task%setup, particles, error)
+      call begin_task(task, plan%file_particles, simulation, error)
       if (allocated(error)) return
       began = cpu_seconds()
       do

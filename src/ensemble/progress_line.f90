@@ -5,11 +5,10 @@
 module battery_progress_line
   use battery_kinds, only: dp
   use battery_clocks, only: wall_seconds
-  use battery_columns, only: rate_text
   use battery_communicator, only: task_queue_type, read_counter, &
     tasks_finished, collisions_done
   use battery_terminal, only: print_line, print_text, is_terminal
-  use battery_text, only: duration_text
+  use battery_text, only: duration_text, rate_text
   implicit none (type, external)
   private
   public :: progress_line_type, new_progress_line, show_progress, clear_progress_line

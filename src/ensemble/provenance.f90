@@ -1,4 +1,4 @@
-!> Build and command line of the program: for `--version`, and for results files.
+!> Build of the program: for `--version`, and for results files.
 module battery_provenance
   use, intrinsic :: iso_fortran_env, only: compiler_version, compiler_options
   use battery_build_information, only: program_version, git_commit
@@ -8,7 +8,7 @@ module battery_provenance
   use battery_text, only: new_line_character
   implicit none (type, external)
   private
-  public :: attribute_type, build_attributes, version_text, command_text
+  public :: attribute_type, build_attributes, version_text
 
   !> An attribute of a results file.
   type :: attribute_type
@@ -50,15 +50,5 @@ contains
     text = trim(text//new_line_character//'sources: '//merge('changed since the commit', &
       'as in the commit        ', index(git_commit(), '-dirty') > 0))
   end function version_text
-
-  !> The command line of this process.
-  function command_text() result(text)
-    character(len=:), allocatable :: text
-    integer :: length
-
-    call get_command(length=length)
-    allocate (character(len=length) :: text)
-    call get_command(text)
-  end function command_text
 
 end module battery_provenance

@@ -7,6 +7,7 @@ module battery_startup
   use battery_checksum_footer, only: check_discardable
   use battery_error, only: error_type, fatal_error, exit_failure, exit_bad_input
   use battery_files, only: file_exists, remove_file, publish_file, file_stamp_type
+  use battery_findings, only: findings_type, findings_text
   use battery_journal, only: journal_type, find_journal, find_task_ids, begin_journal, &
     join_journal, states_in, remove_journal
   use battery_lock_file, only: lock_type, acquire_lock, release_lock
@@ -22,7 +23,7 @@ module battery_startup
   use battery_tasks, only: task_type, task_count, task_of, order_tasks, task_index_type, &
     task_index_of, task_number_of
   use battery_terminal, only: print_line
-  use battery_text, only: string_type, to_text, count_text, new_line_character
+  use battery_text, only: to_text, count_text, new_line_character
   implicit none (type, external)
   private
   public :: find_pending_tasks, find_further_tasks, progress_type, inspect_output, set_pending
@@ -87,8 +88,7 @@ contains
     subroutine begin_on_rank0()
       type(progress_type) :: progress
       character(len=:), allocatable :: message
-      type(string_type), allocatable :: remarks(:)
-      integer :: at
+      type(findings_type) :: remarks
 
       if (overwrite) call discard_output(plan, error)
       if (.not. allocated(error)) call inspect_output(plan, sources, progress, message, error)
@@ -100,9 +100,7 @@ contains
         call remove_journal(sources%folder, error)
       else
         remarks = remarks_of(plan, 0.0_dp)
-        do at = 1, merge(0, size(remarks), quiet)
-          call print_line('remark: '//remarks(at)%text)
-        end do
+        if (remarks%count > 0 .and. .not. quiet) call print_line(findings_text(remarks, 'remark'))
         ! Somebody may want to save what the journal lacks.
         if (progress%is_damaged) call publish_file(plan%file, damaged_file(plan), error)
         if (progress%is_damaged) sources%old%stamp = file_stamp_type()

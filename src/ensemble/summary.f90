@@ -2,6 +2,7 @@
 module battery_summary
   use, intrinsic :: ieee_arithmetic, only: ieee_is_nan
   use battery_blocks, only: error_of_mean
+  use battery_command_line, only: command_line_words
   use battery_keys, only: key_threshold, key_threshold_fraction, key_number, key_width
   use battery_kinds, only: wp, dp, int64
   use battery_plan, only: plan_type, point_text, is_scanned
@@ -11,10 +12,9 @@ module battery_summary
   use battery_quantities, only: real_quantities, integer_quantities, place_of
   use battery_results, only: results_type, task_complete, task_not_asked, &
     point_two_states, point_not_precise
-  use battery_columns, only: whole_text, number_text, rate_text
   use battery_files, only: file_exists
   use battery_terminal, only: print_line
-  use battery_text, only: duration_text, to_text, count_text, numbers_text
+  use battery_text, only: string_type, duration_text, rate_text, to_text, count_text, numbers_text
   implicit none (type, external)
   private
   public :: print_summary, stopped_text
@@ -56,7 +56,8 @@ contains
     !> Whether no task is pending; whether to print errors only.
     logical, intent(in) :: all_done, quiet
     character(len=:), allocatable :: rate
-    integer :: done, task
+    real(dp), allocatable :: cpu_seconds(:, :)
+    integer :: done, task, slowest(2)
 
     do task = 1, size(results%failure)
       if (allocated(results%failure(task)%text)) call print_line(task_text(plan, task) &
@@ -75,7 +76,12 @@ contains
       //duration_text(seconds)//' on '//count_text(ranks, 'rank')
     if (ranks > 1) rate = rate//', busy for '//to_text(nint(100.0_dp*busy))//' % of the time'
     call print_line(rate)
-    if (done > 0) call print_slowest(plan, results)
+    if (done > 0) then
+      cpu_seconds = results%average(:, :, place_of('cpu_seconds', real_quantities()))
+      slowest = maxloc(cpu_seconds, mask=results%task_status == task_complete)
+      call print_line('slowest task: '//duration_text(cpu_seconds(slowest(1), slowest(2))) &
+        //' of a processor, '//task_text(plan, (slowest(2) - 1)*plan%replicas + slowest(1)))
+    end if
     if (any(results%counted(:, :, place_of('trapped', integer_quantities())) > 0)) &
       call print_line('some particles are on orbits that never leave: see the dataset trapped')
     if (results%short_tasks > 0) call print_line(to_text(results%short_tasks)//' of the complete ' &
@@ -90,61 +96,49 @@ contains
   subroutine print_tables(plan, results)
     type(plan_type), intent(in) :: plan
     type(results_type), intent(in) :: results
-    integer :: complete(size(results%point)), p, r
+    logical :: complete(plan%replicas, plan%point_count)
     integer, allocatable :: shown(:)
-    real(dp), allocatable :: error(:)
-    !> Whether an error is missing; whether one is that of the first quantity shown.
-    logical :: lacking, too_short
+    !> Whether a task lacks the error of each quantity shown.
+    logical, allocatable :: lacks(:)
+    character(len=:), allocatable :: text
+    integer :: p, r
 
-    complete = count(results%task_status == task_complete, dim=1)
+    complete = results%task_status == task_complete
     shown = shown_quantities(results)
-    lacking = .false.
-    too_short = .false.
-    if (task_count(plan) <= most_rows .and. any(complete > 0)) then
+    lacks = [(any(complete .and. ieee_is_nan(results%error(:, :, places(shown(r))))), r=1, &
+      size(shown))]
+    if (task_count(plan) <= most_rows .and. any(complete)) then
       call print_line(table_head('   replica', shown))
-      do p = 1, size(complete)
+      do p = 1, plan%point_count
         do r = 1, plan%replicas
-          if (results%task_status(r, p) /= task_complete) cycle
-          error = results%error(r, p, places(shown))
-          lacking = lacking .or. any(ieee_is_nan(error))
-          too_short = too_short .or. ieee_is_nan(error(1))
-          call print_line(row_text(plan, results, p, r - 1, pairs_text(results%average(r, p, &
-            places(shown)), error)))
+          if (complete(r, p)) call print_line(row_text(plan, results, p, r - 1, pairs_text( &
+            results%average(r, p, places(shown)), results%error(r, p, places(shown)))))
         end do
       end do
     end if
-    if (plan%point_count <= most_rows .and. any(complete > 1)) then
+    if (plan%point_count <= most_rows .and. any(count(complete, dim=1) > 1)) then
       if (any(shown == polarised_current)) shown = pack(shown, shown <= polarised_current)
       call print_line(table_head('  replicas', shown)//'    (errors over replicas)')
-      do p = 1, size(complete)
-        if (complete(p) > 1) call print_line(row_text(plan, results, p, complete(p), &
-          means_text(results, p, shown)))
+      do p = 1, plan%point_count
+        if (count(complete(:, p)) > 1) call print_line(row_text(plan, results, p, &
+          count(complete(:, p)), means_text(results, p, shown)))
       end do
     end if
-    if (.not. lacking) return
-    if (plan%replicas > 1) then
-      call print_line('-: no error of its own: '//reason()//'; use those over replicas')
-    else if (plan%initial_file /= '') then
-      call print_line('-: no error of its own: '//reason())
+    if (task_count(plan) > most_rows .or. .not. any(lacks)) return
+    ! Why an error is missing: battery_observer.
+    if (plan%urn_sides > 0) then
+      text = 'directions never relax in regular polygons'
+    else if (lacks(1)) then
+      text = 'the run is too short'
     else
-      call print_line('-: no error of its own: '//reason()//'; &scan replicas = 8 gives one')
+      text = 'the gate of the emptier urn reversed, or the polarity changed, too rarely'
     end if
-
-  contains
-
-    !> Why an error is missing (`battery_observer`).
-    pure function reason() result(text)
-      character(len=:), allocatable :: text
-
-      if (plan%urn_sides > 0) then
-        text = 'directions never relax in regular polygons'
-      else if (too_short) then
-        text = 'the run is too short'
-      else
-        text = 'the gate of the emptier urn reversed, or the polarity changed, too rarely'
-      end if
-    end function reason
-
+    if (plan%replicas > 1) then
+      text = text//'; use those over replicas'
+    else if (plan%initial_file == '') then
+      text = text//'; &scan replicas = 8 gives one'
+    end if
+    call print_line('-: no error of its own: '//text)
   end subroutine print_tables
 
   !> Places in `names` of what the tables show: chi and the polarised current where they are known,
@@ -221,6 +215,32 @@ contains
     end do
   end function pairs_text
 
+  !> An integer in `width` columns, or, if it does not fit, a blank and the integer.
+  pure function whole_text(number, width) result(text)
+    !> Any integer; number of columns.
+    integer, intent(in) :: number, width
+    character(len=:), allocatable :: text
+
+    text = repeat(' ', max(1, width - len(to_text(number))))//to_text(number)
+  end function whole_text
+
+  !> A number in `width` columns with `digits` decimals; with an exponent if it is too large for
+  !> that, or so small that no digit would be visible; a dash if it is not known.
+  pure function number_text(number, width, digits) result(text)
+    !> Any number, or NaN.
+    real(dp), intent(in) :: number
+    !> Number of columns, and of decimals.
+    integer, intent(in) :: width, digits
+    character(len=width) :: text
+
+    text = repeat(' ', width - 1)//'-'
+    if (ieee_is_nan(number)) return
+    write (text, '(f'//to_text(width)//'.'//to_text(digits)//')') number
+    if (index(text, '*') == 0 .and. .not. (abs(number) > 0.0_dp .and. abs(number) &
+      < 1.0e-3_dp*0.1_dp**digits)) return
+    write (text, '(es'//to_text(width)//'.'//to_text(min(width - 7, digits))//')') number
+  end function number_text
+
   !> Text for the means over the complete replicas of a point, with errors from their scatter; where
   !> replicas fall into two states, for chi in both, in place of a mean that no replica has.
   function means_text(results, p, shown) result(text)
@@ -229,42 +249,36 @@ contains
     !> Places in `names`.
     integer, intent(in) :: shown(:)
     character(len=:), allocatable :: text
-    real(dp), allocatable :: values(:), group(:)
+    !> Values of all that has a name, by replica.
+    real(dp), allocatable :: values(:, :), group(:)
     logical :: two_states(size(results%point))
     real(dp) :: mean, cut
     integer :: k
 
     text = ''
     two_states = has_status(results, point_two_states)
+    associate (status => results%task_status(:, p))
+      values = results%average(pack([(k, k=1, size(status))], status == task_complete), p, &
+        places([(k, k=1, size(names))]))
+    end associate
     if (two_states(p)) then
-      values = complete_values(chi)
-      cut = cut_between_groups(values)
+      cut = cut_between_groups(values(:, chi))
       text = '   two states:'
       do k = 1, 2
-        group = pack(values, (values > cut) .eqv. k == 2)
+        group = pack(values(:, chi), (values(:, chi) > cut) .eqv. k == 2)
         text = text//' chi = '//trim(adjustl(number_text(sum(group)/max(size(group), 1), 10, 5))) &
           //' in '//to_text(size(group))//trim(merge(',', ' ', k == 1))
       end do
       return
     end if
     do k = 1, size(shown)
-      values = complete_values(shown(k))
-      mean = sum(values)/size(values)
-      ! A sum of values that cancel has an error of rounding, which is not shown.
-      if (abs(mean) < epsilon(mean)*maxval(abs(values))) mean = 0.0_dp
-      text = text//pairs_text([mean], [error_of_mean(values)])
+      associate (value => values(:, shown(k)))
+        mean = sum(value)/size(value)
+        ! A sum of values that cancel has an error of rounding, which is not shown.
+        if (abs(mean) < epsilon(mean)*maxval(abs(value))) mean = 0.0_dp
+        text = text//pairs_text([mean], [error_of_mean(value)])
+      end associate
     end do
-
-  contains
-
-    !> Values of what has the place `k` in `names`.
-    pure function complete_values(k) result(values)
-      integer, intent(in) :: k
-      real(dp), allocatable :: values(:)
-
-      values = pack(results%average(:, p, places(k)), results%task_status(:, p) == task_complete)
-    end function complete_values
-
   end function means_text
 
   !> Whether each point has a given status, if a precision is required.
@@ -290,19 +304,6 @@ contains
       //numbers_text(real(points, wp), ' '))
   end subroutine list_points
 
-  !> Prints the task with the most processor time.
-  subroutine print_slowest(plan, results)
-    type(plan_type), intent(in) :: plan
-    type(results_type), intent(in) :: results
-    real(dp), allocatable :: cpu_seconds(:, :)
-    integer :: at(2)
-
-    cpu_seconds = results%average(:, :, place_of('cpu_seconds', real_quantities()))
-    at = maxloc(cpu_seconds, mask=results%task_status == task_complete)
-    call print_line('slowest task: '//duration_text(cpu_seconds(at(1), at(2))) &
-      //' of a processor, '//task_text(plan, (at(2) - 1)*plan%replicas + at(1)))
-  end subroutine print_slowest
-
   !> The values of the keys of the scan, and the replica, of a task.
   function task_text(plan, task) result(text)
     type(plan_type), intent(in) :: plan
@@ -318,13 +319,10 @@ contains
   !> The command of the Python package: that beside the program, where there is one.
   function postproc_command() result(text)
     character(len=:), allocatable :: text
-    character(len=:), allocatable :: program_file
-    integer :: length
+    type(string_type), allocatable :: words(:)
 
-    call get_command_argument(0, length=length)
-    allocate (character(len=length) :: program_file)
-    call get_command_argument(0, program_file)
-    text = program_file(:index(program_file, '/', back=.true.))//'battery-postproc'
+    words = command_line_words()
+    text = words(1)%text(:index(words(1)%text, '/', back=.true.))//'battery-postproc'
     if (.not. file_exists(text)) text = 'battery-postproc'
   end function postproc_command
 

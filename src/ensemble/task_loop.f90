@@ -18,10 +18,9 @@ module battery_task_loop
   use battery_progress_line, only: progress_line_type, new_progress_line, show_progress, &
     clear_progress_line
   use battery_signals, only: stop_requested
-  use battery_simulation, only: simulation_type, begin_simulation, advance_simulation, progress, &
-    verify_simulation
+  use battery_simulation, only: simulation_type, advance_simulation, progress, verify_simulation
   use battery_task_result, only: task_result_type, result_of, failed_result
-  use battery_tasks, only: task_type, task_count, task_of, initial_particles
+  use battery_tasks, only: task_type, task_count, task_of, begin_task
   use battery_terminal, only: print_error
   use battery_text, only: to_text
   implicit none (type, external)
@@ -229,7 +228,6 @@ contains
     real(dp), intent(out) :: cpu_before
     !> Error of the task; of the journal.
     type(error_type), allocatable, intent(out) :: failure, error
-    type(particles_type) :: particles
     logical :: resumed
 
     cpu_before = 0.0_dp
@@ -241,9 +239,7 @@ contains
     if (allocated(failure)) return
     call read_state(journal, task, simulation, cpu_before, resumed, failure, error)
     if (resumed .or. allocated(failure) .or. allocated(error)) return
-    call initial_particles(task, file_particles, particles, failure)
-    if (allocated(failure)) return
-    call begin_simulation(simulation, task%setup, particles, failure)
+    call begin_task(task, file_particles, simulation, failure)
   end subroutine resume_or_begin_task
 
 end module battery_task_loop

@@ -12,10 +12,11 @@ module battery_tasks
   use battery_initial_state, only: random_particles, before_crossing
   use battery_plan, only: plan_type, point_type, point_of, table_of, setup_of
   use battery_setup, only: setup_type
+  use battery_simulation, only: simulation_type, begin_simulation
   use battery_table, only: table_type
   implicit none (type, external)
   private
-  public :: task_type, task_count, task_of, order_tasks, initial_particles
+  public :: task_type, task_count, task_of, order_tasks, begin_task
   public :: task_index_type, task_index_of, task_number_of
 
   !> One task: a replica of a point of the scan.
@@ -159,14 +160,15 @@ contains
     end associate
   end subroutine order_tasks
 
-  !> Makes the initial positions and velocities of the particles of a task.
-  subroutine initial_particles(task, start, particles, error)
+  !> Begins the simulation of a task.
+  subroutine begin_task(task, start, simulation, error)
     type(task_type), intent(in) :: task
     !> Particles of the initial file; if the arrays are not allocated, particles are drawn at
     !> random.
     type(particles_type), intent(in) :: start
-    type(particles_type), intent(out) :: particles
+    type(simulation_type), intent(out) :: simulation
     type(error_type), allocatable, intent(out) :: error
+    type(particles_type) :: particles
 
     associate (setup => task%setup)
       if (allocated(start%x)) then
@@ -177,7 +179,8 @@ contains
         call random_particles(setup%table, setup%number, setup%urn1_number, setup%seed, &
           particles, error)
       end if
+      if (.not. allocated(error)) call begin_simulation(simulation, setup, particles, error)
     end associate
-  end subroutine initial_particles
+  end subroutine begin_task
 
 end module battery_tasks

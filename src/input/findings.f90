@@ -6,7 +6,7 @@ module battery_findings
   implicit none (type, external)
   private
   public :: finding_type, findings_type, point_findings_type
-  public :: finding_of, add_finding, findings_text, add_point_findings, displayable_text
+  public :: finding_of, add_finding, findings_text, add_point_findings, suggestion, displayable_text
 
   !> Largest number of problems that are reported one by one, and of problems of points that are
   !> stored; of the others, only the number.
@@ -100,33 +100,38 @@ contains
     if (present(kind)) finding%kind = kind
   end function finding_of
 
-  !> All problems of the file `name`, one per line, in the order of its lines, those without a line
-  !> first; if there are many, the first ones, the last one and the number of all. Empty: none.
-  pure function findings_text(findings, name) result(text)
+  !> All problems of the file `name`, or all remarks, one per line, in the order of its lines, those
+  !> without a line first; if there are many, the first ones, the last one and the number of all.
+  !> Empty: none.
+  pure function findings_text(findings, name, column) result(text)
     !> Problems of the file.
     type(findings_type), intent(in) :: findings
     character(len=*), intent(in) :: name
+    !> Number of columns before what is told; absent: as many as it needs.
+    integer, intent(in), optional :: column
     character(len=:), allocatable :: text
     integer :: at
 
     text = ''
     do at = 1, min(findings%count, most_reported)
       if (at > 1) text = text//new_line_character
-      text = text//one_text(findings%first(at), name)
+      text = text//one_text(findings%first(at), name, column)
     end do
     if (findings%count > most_reported) text = text//new_line_character//'... and ' &
       //to_text(findings%count - most_reported)//' more; the last: '//one_text(findings%last, name)
   end function findings_text
 
   !> Text of one problem.
-  pure function one_text(finding, name) result(text)
+  pure function one_text(finding, name, column) result(text)
     type(finding_type), intent(in) :: finding
     character(len=*), intent(in) :: name
+    integer, intent(in), optional :: column
     character(len=:), allocatable :: text
 
     text = name
     if (finding%line > 0) text = text//', line '//to_text(finding%line)
     text = text//': '
+    if (present(column)) text = text//repeat(' ', column - len(text))
     if (allocated(finding%group)) text = text//'&'//displayable_text(finding%group)
     if (allocated(finding%key)) then
       text = text//' '//displayable_text(finding%key)//trim(merge(' =', '  ', finding%kind &
@@ -189,6 +194,16 @@ contains
       gathered%more = .true.
     end if
   end subroutine count_finding
+
+  !> Question whether a name, after its sign (such as `&`), was meant; empty if there is no name.
+  pure function suggestion(sign, name) result(text)
+    !> Sign, and name that exists; empty: none is similar.
+    character(len=*), intent(in) :: sign, name
+    character(len=:), allocatable :: text
+
+    text = ''
+    if (name /= '') text = ' (did you mean '//sign//name//'?)'
+  end function suggestion
 
   !> A word of a file made safe to print: shortened, control characters replaced by `?`.
   pure function displayable_text(word) result(shown)

@@ -7,7 +7,7 @@ module battery_settings
   use battery_kinds, only: wp, int32, int64
   use battery_text, only: string_type, to_text, lower_case, join, closest_word
   use battery_numbers, only: read_whole, read_decimal
-  use battery_findings, only: findings_type, finding_of, add_finding, of_group
+  use battery_findings, only: findings_type, finding_of, add_finding, suggestion, of_group
   use battery_namelist_text, only: value_type, entry_type, reader_type, reader_of, read_next, &
     written_text
   use battery_key, only: key_type, distinct_names, find_key, allowed_text, is_beyond, whole_key, &
@@ -15,7 +15,7 @@ module battery_settings
   implicit none (type, external)
   private
   public :: settings_type, read_settings, serialize_settings, find_setting
-  public :: is_given, get_value, get_list, get_text
+  public :: is_given, get_value
 
   !> The value of one key; the type of the key determines the component that is used.
   type :: setting_type
@@ -200,15 +200,6 @@ contains
     call refuse_entry(entry, 'there is no such key'//hint, &
       join(distinct_names(pack(keys%name, keys%group == entry%group)), ', '), problems)
   end subroutine refuse_key
-
-  !> Question whether a name, after its sign (such as `&`), was meant; empty if there is no name.
-  pure function suggestion(sign, name) result(text)
-    character(len=*), intent(in) :: sign, name
-    character(len=:), allocatable :: text
-
-    text = ''
-    if (name /= '') text = ' (did you mean '//sign//name//'?)'
-  end function suggestion
 
   !> Adds a problem of an entry.
   subroutine refuse_entry(entry, wrong, allowed, problems)
@@ -400,34 +391,35 @@ contains
       wrong = 'how many is not a whole number from 1 to '//to_text(longest_range)
   end function wrong_range
 
-  !> Place of a key, which must be declared, in the settings.
-  pure integer function find_setting(settings, group, name) result(place)
+  !> Place of a key, which must be declared, in the settings: in its own group, also if a scan can
+  !> vary it.
+  pure integer function find_setting(settings, name) result(place)
     type(settings_type), intent(in) :: settings
-    !> Group and key in small letters.
-    character(len=*), intent(in) :: group, name
+    !> Name of the key in small letters.
+    character(len=*), intent(in) :: name
 
-    place = find_key(settings%all%key, group, name)
+    place = findloc(settings%all%key%name == name, .true., dim=1)
     if (place == 0) error stop 'a key is not declared'
   end function find_setting
 
   !> Whether a key is given, rightly or not.
-  pure logical function is_given(settings, group, name)
+  pure logical function is_given(settings, name)
     type(settings_type), intent(in) :: settings
-    !> Group and name of the key.
-    character(len=*), intent(in) :: group, name
+    !> Name of the key.
+    character(len=*), intent(in) :: name
 
-    is_given = settings%all(find_setting(settings, group, name))%given
+    is_given = settings%all(find_setting(settings, name))%given
   end function is_given
 
-  !> Gets the value of a key, of several the first.
-  pure subroutine get_value(settings, group, name, value)
+  !> Gets the value of a key that is no text, of several the first.
+  pure subroutine get_value(settings, name, value)
     type(settings_type), intent(in) :: settings
-    !> Group and name of the key.
-    character(len=*), intent(in) :: group, name
+    !> Name of the key.
+    character(len=*), intent(in) :: name
     !> Value of the key; if it has none, `value` does not change.
     class(*), intent(inout) :: value
 
-    associate (setting => settings%all(find_setting(settings, group, name)))
+    associate (setting => settings%all(find_setting(settings, name)))
       if (.not. setting%known) return
       select type (value)
       type is (integer(int32))
@@ -443,27 +435,5 @@ contains
       end select
     end associate
   end subroutine get_value
-
-  !> Gets all values of a key of numbers.
-  pure subroutine get_list(settings, group, name, value)
-    type(settings_type), intent(in) :: settings
-    !> Group and name of the key.
-    character(len=*), intent(in) :: group, name
-    !> Value of the key.
-    real(wp), allocatable, intent(inout) :: value(:)
-
-    value = settings%all(find_setting(settings, group, name))%reals
-  end subroutine get_list
-
-  !> Gets the value of a text key.
-  pure subroutine get_text(settings, group, name, value)
-    type(settings_type), intent(in) :: settings
-    !> Group and name of the key.
-    character(len=*), intent(in) :: group, name
-    !> Value of the key.
-    character(len=:), allocatable, intent(inout) :: value
-
-    value = settings%all(find_setting(settings, group, name))%text
-  end subroutine get_text
 
 end module battery_settings

@@ -4,13 +4,12 @@
 !> interface for a single number passed by value: for a procedure declared by such an abstract
 !> interface, gfortran 12 passes the address of a constant or of a function's result.
 module battery_c_shapes
-  use, intrinsic :: iso_c_binding, only: c_char, c_int, c_ptr, c_size_t
+  use, intrinsic :: iso_c_binding, only: c_char, c_int
   implicit none (type, external)
   private
   public :: action
   public :: returns_number, number_of_path, number_of_paths
-  public :: number_of_text, number_of_path_and_text, size_of_address
-  public :: returns_address, address_of_number
+  public :: number_of_text, number_of_path_and_text
 
   abstract interface
     !> No argument, no result.
@@ -54,26 +53,6 @@ module battery_c_shapes
       integer(c_int), value, intent(in) :: capacity
       character(kind=c_char), intent(inout) :: text(capacity)
     end function number_of_path_and_text
-
-    !> Returns the size of the object at an address.
-    integer(c_size_t) function size_of_address(address) bind(c)
-      import :: c_ptr, c_size_t
-      implicit none (type, external)
-      type(c_ptr), value, intent(in) :: address
-    end function size_of_address
-
-    !> No argument; returns an address.
-    type(c_ptr) function returns_address() bind(c)
-      import :: c_ptr
-      implicit none (type, external)
-    end function returns_address
-
-    !> Returns an address for an integer, which is passed by reference.
-    type(c_ptr) function address_of_number(number) bind(c)
-      import :: c_int, c_ptr
-      implicit none (type, external)
-      integer(c_int), intent(in) :: number
-    end function address_of_number
   end interface
 
 end module battery_c_shapes

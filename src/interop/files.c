@@ -19,9 +19,6 @@
 /* Number of the last error. */
 int battery_errno(void) { return errno; }
 
-/* Message for an error number. */
-const char *battery_message(const int *number) { return strerror(*number); }
-
 /* Whether the last error is one of the disk: a failure, a full disk, an exhausted quota, a file that
    is too large. */
 int battery_is_disk_error(void) {

@@ -6,8 +6,7 @@
 !> (L'Ecuyer, Operations Research 44, 816 (1996), doi:10.1287/opre.44.5.816), each with half of the
 !> seed. Their numbers are added modulo one: the sum is uniform if either of them is.
 module battery_gsl
-  use, intrinsic :: iso_c_binding, only: c_int, c_double, c_int64_t, c_size_t
-  use battery_c_shapes, only: returns_address
+  use, intrinsic :: iso_c_binding, only: c_int, c_double, c_int64_t, c_size_t, c_ptr
   use battery_paths, only: c_text_at
   use battery_kinds, only: int64
   use battery_error, only: error_type, fatal_error
@@ -16,9 +15,12 @@ module battery_gsl
   public :: seed_generator, uniform
   public :: sort_order, student_quantile, gsl_library
 
-  procedure(returns_address), bind(c, name='battery_gsl_version') :: c_version
-
   interface
+    type(c_ptr) function c_version() bind(c, name='battery_gsl_version')
+      import :: c_ptr
+      implicit none (type, external)
+    end function c_version
+
     integer(c_int) function c_seed(seed) bind(c, name='battery_seed')
       import :: c_int, c_int64_t
       implicit none (type, external)

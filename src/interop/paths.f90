@@ -3,7 +3,7 @@ module battery_paths
   use, intrinsic :: iso_c_binding, only: c_int, c_size_t, c_char, c_ptr, c_null_char, c_f_pointer, &
     c_associated
   use battery_c_shapes, only: returns_number, number_of_path, number_of_paths, number_of_text, &
-    number_of_path_and_text, size_of_address, address_of_number
+    number_of_path_and_text
   use battery_error, only: error_type, fatal_error, exit_bad_input
   implicit none (type, external)
   private
@@ -20,8 +20,20 @@ module battery_paths
   procedure(number_of_text), bind(c, name='battery_follow') :: c_follow
   procedure(number_of_path_and_text), bind(c, name='battery_real_folder') :: c_real_folder
   procedure(returns_number), bind(c, name='battery_errno') :: c_errno
-  procedure(address_of_number), bind(c, name='battery_message') :: c_message
-  procedure(size_of_address), bind(c, name='strlen') :: c_strlen
+
+  interface
+    type(c_ptr) function c_message(number) bind(c, name='strerror')
+      import :: c_int, c_ptr
+      implicit none (type, external)
+      integer(c_int), value, intent(in) :: number
+    end function c_message
+
+    integer(c_size_t) function c_strlen(address) bind(c, name='strlen')
+      import :: c_ptr, c_size_t
+      implicit none (type, external)
+      type(c_ptr), value, intent(in) :: address
+    end function c_strlen
+  end interface
 
 contains
 

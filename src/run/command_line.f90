@@ -1,6 +1,8 @@
 !> The command line: options and the namelist file.
 module battery_command_line
   use battery_error, only: error_type, fatal_error, exit_bad_input
+  use battery_findings, only: findings_type, finding_type, finding_of, add_finding, findings_text, &
+    suggestion
   use battery_text, only: string_type, closest_word, is_one_of, join, new_line_character
   use battery_key, only: keys_text, distinct_names
   use battery_keys, only: all_keys
@@ -46,16 +48,16 @@ module battery_command_line
 
 contains
 
-  !> The program's own arguments, without its name.
+  !> The command line of this process: the name of the program, and its own arguments.
   function command_line_words() result(words)
     type(string_type), allocatable :: words(:)
     integer :: at, length
 
-    allocate (words(command_argument_count()))
+    allocate (words(1 + command_argument_count()))
     do at = 1, size(words)
-      call get_command_argument(at, length=length)
+      call get_command_argument(at - 1, length=length)
       allocate (character(len=length) :: words(at)%text)
-      if (length > 0) call get_command_argument(at, words(at)%text)
+      if (length > 0) call get_command_argument(at - 1, words(at)%text)
     end do
   end function command_line_words
 
@@ -67,21 +69,21 @@ contains
     type(command_line_type), intent(out) :: command
     !> Code `exit_bad_input`; all problems.
     type(error_type), allocatable, intent(out) :: error
-    character(len=:), allocatable :: problems
+    type(findings_type) :: problems
+    type(finding_type) :: nameless
     logical :: only_files, json_next
     integer :: at
-    character(len=*), parameter :: nameless = '--json: the name of its file is missing'
 
     command%file = ''
     command%json = ''
     command%text_to_print = ''
-    problems = ''
+    nameless = finding_of(0, '--json: the name of its file is missing')
     only_files = .false.
     json_next = .false.
     do at = 1, size(words)
       if (json_next) then
         if (index(words(at)%text, '-') /= 1) command%json = words(at)%text
-        if (command%json == '') call add(problems, nameless)
+        if (command%json == '') call add_finding(problems, nameless)
         json_next = .false.
       else if (words(at)%text == '--' .and. .not. only_files) then
         only_files = .true.
@@ -90,35 +92,35 @@ contains
       else if (index(words(at)%text, '-') == 1 .and. .not. only_files) then
         call read_option(words(at)%text, command, problems)
       else if (words(at)%text == '') then
-        call add(problems, 'an empty file name; allowed: FILE.nml')
+        call add_finding(problems, finding_of(0, 'an empty file name', 'FILE.nml'))
       else if (command%file /= '') then
-        call add(problems, words(at)%text//': a second file; allowed: one')
+        call add_finding(problems, finding_of(0, words(at)%text//': a second file', 'one'))
       else
         command%file = words(at)%text
       end if
     end do
-    if (json_next) call add(problems, nameless)
+    if (json_next) call add_finding(problems, nameless)
     if (.not. any(command%has([help, schema, self_test, version])) .and. command%file == '' .and. &
-      problems == '') call add(problems, 'the namelist file is missing')
+      problems%count == 0) call add_finding(problems, finding_of(0, 'the namelist file is missing'))
     if (command%text_to_print /= '' .and. command%file /= '' .and. is_one_of('--schema', words)) &
-      call add(problems, command%file//': --schema takes no file; it is the same for all')
+      call add_finding(problems, finding_of(0, command%file &
+      //': --schema takes no file; it is the same for all'))
     if (command%has(self_test) .and. command%file /= '') &
-      call add(problems, command%file//': --self-test takes no file')
+      call add_finding(problems, finding_of(0, command%file//': --self-test takes no file'))
     if (any(command%has([accept, partial])) .and. (any(command%has([check, overwrite])) .or. &
-      command%json /= '' .or. all(command%has([accept, partial])))) call add(problems, &
-      trim(merge('--accept ', '--partial', command%has(accept)))//': cannot be given with ' &
-      //'--check, --overwrite, --json or ' &
-      //trim(merge('--partial', '--accept ', command%has(accept))))
-    if (problems /= '') call fatal_error(error, problems//new_line_character//usage_line, &
-      exit_bad_input)
+      command%json /= '' .or. all(command%has([accept, partial])))) call add_finding(problems, &
+      finding_of(0, trim(merge('--accept ', '--partial', command%has(accept))) &
+      //': cannot be given with --check, --overwrite, --json or ' &
+      //trim(merge('--partial', '--accept ', command%has(accept)))))
+    if (problems%count > 0) call fatal_error(error, findings_text(problems, 'battery') &
+      //new_line_character//usage_line, exit_bad_input)
   end subroutine parse_arguments
 
   !> Parses one option.
   subroutine read_option(word, command, problems)
     character(len=*), intent(in) :: word
     type(command_line_type), intent(inout) :: command
-    character(len=:), allocatable, intent(inout) :: problems
-    character(len=:), allocatable :: meant
+    type(findings_type), intent(inout) :: problems
     integer :: option
 
     option = findloc(options == word, .true., dim=1)
@@ -128,21 +130,10 @@ contains
       if (option == help) command%text_to_print = usage_text()
       if (option == schema) command%text_to_print = schema_text(all_keys())
     else
-      meant = closest_word(word, distinct_names(options))
-      if (meant /= '') meant = ' (did you mean '//meant//'?)'
-      call add(problems, word//': there is no such option'//meant//'; allowed: ' &
-        //join(distinct_names(options), ', '))
+      call add_finding(problems, finding_of(0, word//': there is no such option'//suggestion('', &
+        closest_word(word, distinct_names(options))), join(distinct_names(options), ', ')))
     end if
   end subroutine read_option
-
-  !> Adds a line to a list of problems.
-  pure subroutine add(problems, text)
-    character(len=:), allocatable, intent(inout) :: problems
-    character(len=*), intent(in) :: text
-
-    if (problems /= '') problems = problems//new_line_character
-    problems = problems//'battery: '//text
-  end subroutine add
 
   !> The whole help: usage, options, exit codes, and all groups and keys of the namelist.
   function usage_text() result(text)

@@ -17,7 +17,7 @@
 !> exact engines, T up to 20, and runs without an initial file. Otherwise, and if the balance has no
 !> polarised state, no remark is made.
 module battery_current_age
-  use battery_kinds, only: dp, int64
+  use battery_kinds, only: wp, dp, int64, pi
   use battery_plan, only: plan_type, point_type, point_of, point_text, table_of
   use battery_table, only: table_type, area, perimeter, channel1, channel2
   use battery_text, only: to_text, duration_text
@@ -32,8 +32,6 @@ module battery_current_age
     !> The time tau after which a circulating particle is reversed.
     real(dp) :: lifetime = 1.0_dp
   end type circulation_type
-
-  real(dp), parameter :: pi = acos(-1.0_dp)
 
   !> Fitted numbers: the factor of (1), and the factor of the dense gate's load.
   real(dp), parameter :: steepness = 3.0_dp, dense_load = 0.85_dp
@@ -62,8 +60,10 @@ contains
     !> Expected duration of the run in seconds; 0: not known.
     real(dp), intent(in) :: seconds
     character(len=:), allocatable :: text, key
+    !> First and last age of the averages, in time units or in collisions.
+    real(dp) :: ages(2)
     real(dp), allocatable :: lacks(:)
-    real(dp) :: most, transient, times
+    real(dp) :: transient, times, two_digits
     character(len=16) :: percent
     integer :: step, worst, at
 
@@ -71,26 +71,30 @@ contains
     if (plan%shape == 'urn' .or. plan%urn_shape == 'polygon' .or. size(plan%scatterers) > 0 .or. &
       plan%initial_file /= '' .or. any(plan%engine == [character(len=9) :: 'timestep', &
       'reservoir'])) return
+    key = trim(merge('duration  ', 'collisions', plan%duration > 0.0_dp))
+    ages = real([plan%transient_collisions, plan%collisions], dp)
+    if (plan%duration > 0.0_dp) ages = real([plan%transient_duration, plan%duration], dp)
     step = 1 + (plan%point_count - 1)/most_points
-    lacks = [(lacking_share(circulation_at(point_of(plan, at)), ages_measured(plan, point_of(plan, &
-      at))), at=1, plan%point_count, step)]
-    most = maxval(lacks)
-    if (most <= allowed) return
+    lacks = [(lacking_share(circulation_at(point_of(plan, at)), ages*time_unit(plan, &
+      point_of(plan, at))), at=1, plan%point_count, step)]
+    if (maxval(lacks) <= allowed) return
     worst = 1 + step*(maxloc(lacks, dim=1) - 1)
     ! Two decimals below 1 %, else one.
-    write (percent, merge('(f4.2)', '(f0.1)', 100.0_dp*most < 0.995_dp)) 100.0_dp*most
+    write (percent, merge('(f4.2)', '(f0.1)', 100.0_dp*maxval(lacks) < 0.995_dp)) &
+      100.0_dp*maxval(lacks)
     text = 'currents lack about '//trim(percent)//' %'
     if (point_text(plan, worst, '') /= '') text = text//', most at '//point_text(plan, worst, '')
     text = text//': circulations still build up'
-    transient = transient_for(circulation_at(point_of(plan, worst)), allowed)
-    times = (1.0_dp + measured)*transient/max(tiny(1.0_dp), &
-      maxval(ages_measured(plan, point_of(plan, worst))))
+    transient = transient_for(circulation_at(point_of(plan, worst)), allowed)/time_unit(plan, &
+      point_of(plan, worst))
+    times = (1.0_dp + measured)*transient/ages(2)
     if (times > most_times) then
       text = text//', and a run that is old enough would cost more than ' &
         //to_text(nint(most_times))//' times this one; compare with theory at the age of the run'
     else
-      key = trim(merge('duration  ', 'collisions', plan%duration > 0.0_dp))
-      transient = two_digits(transient/time_unit(plan, point_of(plan, worst)))
+      ! The least number of two digits that is not below.
+      two_digits = 10.0_dp**(floor(log10(transient)) - 1)
+      transient = two_digits*ceiling(transient/two_digits)
       text = text//'; &run transient_'//key//' = '//to_text(nint(transient, int64))//', '//key &
         //' = '//to_text(nint((1.0_dp + measured)*transient, int64))//' would lack 0.25 % ('
       if (seconds > 0.0_dp) then
@@ -100,17 +104,6 @@ contains
       end if
     end if
   end function current_remark
-
-  !> First and last age, since the start, of the averages of a run of this plan at a point.
-  pure function ages_measured(plan, point) result(ages)
-    type(plan_type), intent(in) :: plan
-    type(point_type), intent(in) :: point
-    real(dp) :: ages(2)
-
-    ages = real([plan%transient_collisions, plan%collisions], dp)
-    if (plan%duration > 0.0_dp) ages = real([plan%transient_duration, plan%duration], dp)
-    ages = ages*time_unit(plan, point)
-  end function ages_measured
 
   !> Time for each unit of the length of runs: 1, or if it is in collisions the mean time between
   !> them, taken as the mean free path of the empty table over the number of particles.
@@ -122,13 +115,18 @@ contains
     time = 1.0_dp
     if (plan%duration > 0.0_dp) return
     table = table_of(plan, point)
-    time = pi*real(area(table)/perimeter(table), dp)/real(point%number, dp)
+    time = real(pi*area(table)/perimeter(table), dp)/real(point%number, dp)
   end function time_unit
 
   !> Circulation at a parameter point whose urns are discs.
   pure type(circulation_type) function circulation_at(point) result(found)
     type(point_type), intent(in) :: point
-    real(dp) :: width(2), radius(2), load, sparse, round_length
+    !> It converges within some tens of steps, except near the largest load without polarisation.
+    integer, parameter :: most_steps = 10000
+    !> No u_n is above this, so that their sum is finite.
+    real(dp), parameter :: enough = 1.0e100_dp
+    real(dp) :: width(2), radius(2), load, widths, sparse, before, round_length, u, total
+    integer :: step
 
     width = real(point%channel%width, dp)
     radius = real(point%urn_radius, dp)
@@ -137,68 +135,43 @@ contains
         .or. any(radius < maxval(radius)) .or. .not. width(channel2) > 0.0_dp) return
       ! Mean number in a gate over number in its urn: w/(pi A) entries per unit of time, each for pi
       ! l/4.
-      load = width(channel1)*real(point%channel(channel1)%length, dp)/(4.0_dp*pi*radius(1)**2)
-      sparse = sparse_number(number, threshold, width(channel2)/width(channel1), load)
+      load = width(channel1)*real(point%channel(channel1)%length/(4.0_wp*pi), dp)/radius(1)**2
+      ! Number of particles in the sparse urn for which the current through channel 2 equals that of
+      ! channel 1 in the other direction, by iteration from an empty urn; at most half of all.
+      widths = width(channel2)/width(channel1)
+      sparse = 0.0_dp
+      do step = 1, most_steps
+        before = sparse
+        ! What flows into the sparse urn over the flow out of it of each of its particles.
+        sparse = min(0.5_dp*number, (number - sparse)*(widths + chance_below(threshold, &
+          dense_load*load*(number - sparse)))/(widths + chance_below(threshold, load*sparse)))
+        if (abs(sparse - before) <= epsilon(number)*number) exit
+      end do
       if (sparse > 0.5_dp*(1.0_dp - polarised)*number) return
       round_length = sum(sqrt(4.0_dp*radius**2 - width**2) + real(point%channel%length, dp))
       found%growth = steepness*width(channel2)/round_length
-      found%lifetime = round_length/reversed_share(threshold, load*sparse)
+      ! A gate with exponentially distributed passage times reverses of its entries the fraction
+      ! (T + 1) over the sum of u_n, u_0 = 1, u_n = 1 + n u_(n-1)/load.
+      u = 1.0_dp
+      total = 1.0_dp
+      do step = 1, threshold
+        u = min(enough, 1.0_dp + real(step, dp)*u/(load*sparse))
+        total = total + u
+      end do
+      found%lifetime = round_length*total/real(threshold + 1, dp)
     end associate
   end function circulation_at
-
-  !> Number of particles in the sparse urn for which the current through channel 2 equals that of
-  !> channel 1 in the other direction, by iteration from an empty urn; at most half of all.
-  pure real(dp) function sparse_number(number, threshold, widths, load) result(sparse)
-    real(dp), intent(in) :: number
-    integer, intent(in) :: threshold
-    !> Width of channel 2 over that of channel 1; load of a gate per particle in its urn.
-    real(dp), intent(in) :: widths, load
-    !> It converges within some tens of steps, except near the largest load without polarisation.
-    integer, parameter :: most_steps = 10000
-    real(dp) :: before
-    integer :: step
-
-    sparse = 0.0_dp
-    do step = 1, most_steps
-      before = sparse
-      ! What flows into the sparse urn over the flow out of it of each of its particles.
-      sparse = min(0.5_dp*number, (number - sparse)*(widths + chance_below(threshold, &
-        dense_load*load*(number - sparse)))/(widths + chance_below(threshold, load*sparse)))
-      if (abs(sparse - before) <= epsilon(number)*number) exit
-    end do
-  end function sparse_number
 
   !> Probability that a Poisson variable with this mean is below `threshold`.
   pure real(dp) function chance_below(threshold, mean) result(chance)
     integer, intent(in) :: threshold
     real(dp), intent(in) :: mean
-    real(dp) :: term
     integer :: k
 
-    term = exp(-mean)
-    chance = term
-    do k = 1, threshold - 1
-      term = term*mean/real(k, dp)
-      chance = chance + term
-    end do
+    ! By logarithms, since powers of a large mean overflow.
+    chance = sum([(exp(k*log(max(mean, tiny(mean))) - mean - log_gamma(real(k + 1, dp))), k=0, &
+      threshold - 1)])
   end function chance_below
-
-  !> Fraction of entries that a gate with exponentially distributed passage times reverses: (T + 1)
-  !> over the sum of u_n, u_0 = 1, u_n = 1 + n u_(n-1)/load.
-  pure real(dp) function reversed_share(threshold, load) result(share)
-    integer, intent(in) :: threshold
-    !> Mean number of particles inside if the gate never reversed, above 0.
-    real(dp), intent(in) :: load
-    real(dp), parameter :: enough = 1.0e100_dp
-    real(dp) :: u(0:threshold)
-    integer :: n
-
-    u = 1.0_dp
-    do n = 1, threshold
-      u(n) = min(enough, 1.0_dp + real(n, dp)*u(n - 1)/load)
-    end do
-    share = real(threshold + 1, dp)/sum(u)
-  end function reversed_share
 
   !> Relative deficit of a current: (1) averaged over ages.
   pure real(dp) function lacking_share(circulation, ages)
@@ -209,10 +182,9 @@ contains
     real(dp) :: age(parts)
     integer :: k
 
-    age = (ages(1) + (ages(2) - ages(1))*[((real(k, dp) - 0.5_dp)/real(parts, dp), k=1, parts)]) &
-      /circulation%lifetime
-    age = max(age, tiny(1.0_dp))
-    lacking_share = circulation%growth*sum(exp(-age)*log(1.0_dp + 1.0_dp/age))/real(parts, dp)
+    age = max(tiny(1.0_dp), (ages(1) + (ages(2) - ages(1))*([(k, k=1, parts)] - 0.5_dp)/parts) &
+      /circulation%lifetime)
+    lacking_share = circulation%growth*sum(exp(-age)*log(1.0_dp + 1.0_dp/age))/parts
   end function lacking_share
 
   !> Transient, the least in steps of 1 %, after which the current of a run that measures twice as
@@ -228,13 +200,5 @@ contains
       transient = 1.01_dp*transient
     end do
   end function transient_for
-
-  !> The least number of two digits that is not below a number above 0.
-  pure real(dp) function two_digits(number)
-    real(dp), intent(in) :: number
-
-    two_digits = 10.0_dp**(floor(log10(number)) - 1)
-    two_digits = two_digits*ceiling(number/two_digits)
-  end function two_digits
 
 end module battery_current_age

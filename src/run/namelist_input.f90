@@ -7,8 +7,7 @@ module battery_namelist_input
   use battery_foreign_bytes, only: namelist_problem, is_results_file
   use battery_findings, only: finding_type, finding_of, add_finding, findings_text, &
     displayable_text, of_missing
-  use battery_settings, only: settings_type, read_settings, find_setting, is_given, &
-    get_value, get_list, get_text
+  use battery_settings, only: settings_type, read_settings, find_setting, is_given, get_value
   use battery_key, only: key_type, whole_key, is_beyond, longest_range
   use battery_keys, only: all_keys, key_length, corner_keys
   use battery_identity, only: twelve_digits
@@ -79,33 +78,33 @@ contains
     type(plan_type), intent(inout) :: plan
     real(wp), allocatable :: times(:)
 
-    call get_text(settings, 'table', 'shape', plan%shape)
+    plan%shape = settings%all(find_setting(settings, 'shape'))%text
     call fill_outlines(settings, plan)
-    call get_list(settings, 'table', 'scatterers', plan%scatterers)
-    call get_value(settings, 'particles', 'urn1_number', plan%base%urn1_number)
-    call get_value(settings, 'particles', 'seed', plan%seed)
-    call get_text(settings, 'particles', 'initial_file', plan%initial_file)
-    call get_text(settings, 'run', 'engine', plan%engine)
-    call get_value(settings, 'run', 'collisions', plan%collisions)
-    call get_value(settings, 'run', 'transient_collisions', plan%transient_collisions)
-    call get_value(settings, 'run', 'duration', plan%duration)
-    call get_value(settings, 'run', 'transient_duration', plan%transient_duration)
-    call get_value(settings, 'run', 'start_time', plan%start_time)
-    call get_value(settings, 'run', 'time_step', plan%time_step)
-    call get_value(settings, 'scan', 'replicas', plan%first_replicas)
-    call get_value(settings, 'precision', 'chi_replica_error', plan%precision(1))
-    call get_value(settings, 'precision', 'polarised_current_replica_error', plan%precision(2))
+    plan%scatterers = settings%all(find_setting(settings, 'scatterers'))%reals
+    call get_value(settings, 'urn1_number', plan%base%urn1_number)
+    call get_value(settings, 'seed', plan%seed)
+    plan%initial_file = settings%all(find_setting(settings, 'initial_file'))%text
+    plan%engine = settings%all(find_setting(settings, 'engine'))%text
+    call get_value(settings, 'collisions', plan%collisions)
+    call get_value(settings, 'transient_collisions', plan%transient_collisions)
+    call get_value(settings, 'duration', plan%duration)
+    call get_value(settings, 'transient_duration', plan%transient_duration)
+    call get_value(settings, 'start_time', plan%start_time)
+    call get_value(settings, 'time_step', plan%time_step)
+    call get_value(settings, 'replicas', plan%first_replicas)
+    call get_value(settings, 'chi_replica_error', plan%precision(1))
+    call get_value(settings, 'polarised_current_replica_error', plan%precision(2))
     plan%replicas = plan%first_replicas
     if (any(plan%precision > 0.0_wp)) &
-      call get_value(settings, 'precision', 'largest_replicas', plan%replicas)
-    call get_text(settings, 'output', 'file', plan%file)
-    call get_value(settings, 'output', 'series_interval', plan%series_interval)
-    call get_scan_values(settings, find_setting(settings, 'output', 'snapshot_times'), plan, times)
+      call get_value(settings, 'largest_replicas', plan%replicas)
+    plan%file = settings%all(find_setting(settings, 'file'))%text
+    call get_value(settings, 'series_interval', plan%series_interval)
+    call get_scan_values(settings, find_setting(settings, 'snapshot_times'), plan, times)
     call move_alloc(times, plan%snapshot_times)
-    call get_value(settings, 'output', 'event_log', plan%event_log)
-    call get_value(settings, 'output', 'final_state', plan%final_state)
-    call get_value(settings, 'limits', 'wall_minutes', plan%wall_minutes)
-    call get_value(settings, 'limits', 'checkpoint_minutes', plan%checkpoint_minutes)
+    call get_value(settings, 'event_log', plan%event_log)
+    call get_value(settings, 'final_state', plan%final_state)
+    call get_value(settings, 'wall_minutes', plan%wall_minutes)
+    call get_value(settings, 'checkpoint_minutes', plan%checkpoint_minutes)
   end subroutine fill_values
 
   !> Sets the shape of the urns. If the number of coordinates is odd, no corners are set.
@@ -115,10 +114,10 @@ contains
     real(wp), allocatable :: numbers(:)
     integer :: urn
 
-    call get_text(settings, 'table', 'urn_shape', plan%urn_shape)
-    call get_value(settings, 'table', 'urn_sides', plan%urn_sides)
+    plan%urn_shape = settings%all(find_setting(settings, 'urn_shape'))%text
+    call get_value(settings, 'urn_sides', plan%urn_sides)
     do urn = 1, 2
-      call get_list(settings, 'table', trim(corner_keys(urn)), numbers)
+      numbers = settings%all(find_setting(settings, trim(corner_keys(urn))))%reals
       if (size(numbers) == 0) cycle
       if (modulo(size(numbers), 2) /= 0 .and. plan%urn_shape /= 'disc') then
         call refuse_key(plan, trim(corner_keys(urn)), 'has '//to_text(size(numbers))//' numbers', &
@@ -126,7 +125,7 @@ contains
         cycle
       end if
       plan%outline(urn)%corner = reshape(numbers, [2, size(numbers)/2])
-      if (is_given(settings, 'table', 'urn_radius')) call refuse_key(plan, 'urn_radius', &
+      if (is_given(settings, 'urn_radius')) call refuse_key(plan, 'urn_radius', &
         'is given beside '//trim(corner_keys(urn)), 'one of the two')
     end do
   end subroutine fill_outlines
@@ -176,6 +175,7 @@ contains
           end if
           plan%scanned(last)%last = 1
         end if
+        if (.not. key%is_second) plan%base%of(key%place)%known = .true.
         plan%scanned = [plan%scanned, one]
       end associate
     end do
@@ -266,7 +266,6 @@ contains
   subroutine add_problem(plan, problem)
     type(plan_type), intent(inout) :: plan
     type(finding_type), intent(in) :: problem
-    type(finding_type) :: placed
     logical, allocatable :: refused(:)
     integer :: place, next
 
@@ -282,12 +281,9 @@ contains
       if (refused(place)) return
       if (problem%kind == of_missing .and. any(refused .and. index(all%key%name, problem%key) &
         == 1)) return
-      placed = problem
-      if (all(place)%given) placed%line = all(place)%line
-      placed%group = trim(all(place)%key%group)
-      placed%key = trim(all(place)%key%name)
-      placed%allowed = problem%allowed//points_text(plan, problem)
-      call add_finding(plan%settings%problems, placed)
+      call add_finding(plan%settings%problems, finding_of(all(place)%line, problem%value, &
+        problem%allowed//points_text(plan, problem), trim(all(place)%key%group), &
+        trim(all(place)%key%name), problem%kind))
     end associate
   end subroutine add_problem
 

@@ -34,7 +34,7 @@ module battery_plan
   !> The values of a key that a scan can vary: two, of urn 1 and urn 2 or of their gates, which are
   !> equal if the key has one. The kind of the key determines the component that is used.
   type :: values_type
-    !> Whether there is a value, given or by default.
+    !> Whether there is a value, given, by default, or of a scan.
     logical :: known = .false.
     integer(int64) :: whole(2) = 0
     real(wp) :: real(2) = 0.0_wp
@@ -168,7 +168,6 @@ contains
     at = places_at(plan, number)
     do k = 1, size(at)
       associate (one => plan%scanned(k), value => plan%scanned(k)%values(at(k)))
-        of(one%place)%known = .true.
         if (one%is_whole) then
           of(one%place)%whole(one%first:one%last) = nint(value, int64)
         else

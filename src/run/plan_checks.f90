@@ -18,14 +18,16 @@ module battery_plan_checks
   use battery_findings, only: finding_type, add_point_findings, of_missing
   use battery_outline_checks, only: check_outlines, check_outline_at, has_outline, &
     has_valid_outlines
-  use battery_bounds, only: bounds_text, can_count_hits, finest, greatest_radius, &
-    of_powers, of_lengths, of_widths, of_times, of_clocks
+  use battery_bounds, only: can_count_hits, finest, greatest_radius
   implicit none (type, external)
   private
   public :: complete_plan
 
   !> Largest number of tasks: points times replicas.
   integer(int64), parameter :: most_tasks = 10000000_int64
+
+  !> Reasons for bounds of a value.
+  integer, parameter :: of_powers = 1, of_lengths = 2, of_widths = 3, of_times = 4, of_clocks = 5
 
 contains
 
@@ -60,32 +62,28 @@ contains
   !> length, in collisions or in time; a limit of the replicas requires a precision.
   subroutine check_given(plan)
     type(plan_type), intent(inout) :: plan
-    logical :: as_number, as_second, as_fraction
 
-    if (is_given(plan%settings, 'precision', 'largest_replicas') .and. &
+    if (is_given(plan%settings, 'largest_replicas') .and. &
       .not. any(plan%precision > 0.0_wp)) call refuse_key(plan, 'largest_replicas', &
       'is given without a precision', 'beside chi_replica_error or polarised_current_replica_error')
     if (plan%duration > 0.0_wp) then
-      if (is_given(plan%settings, 'run', 'collisions')) call refuse_key(plan, 'collisions', &
+      if (is_given(plan%settings, 'collisions')) call refuse_key(plan, 'collisions', &
         'is given beside duration', 'one of the two')
-      if (is_given(plan%settings, 'run', 'transient_collisions')) call refuse_key(plan, &
+      if (is_given(plan%settings, 'transient_collisions')) call refuse_key(plan, &
         'transient_collisions', 'is given beside duration', 'transient_duration')
     end if
     associate (base => plan%base%of)
-      if (.not. (base(key_number)%known .or. is_scanned(plan, 'number'))) &
-        call refuse_value(plan, 'number', 'is missing', 'one whole number from 1 up', of_missing)
-      as_number = base(key_threshold)%known .or. is_scanned(plan, 'threshold')
-      as_second = is_scanned(plan, 'threshold2')
-      as_fraction = base(key_threshold_fraction)%known .or. is_scanned(plan, 'threshold_fraction')
-      if (.not. (as_number .or. as_fraction)) call refuse_value(plan, 'threshold', 'is missing', &
-        'one whole number or two from 0 up, or threshold_fraction, or a list of either in &scan', &
-        of_missing)
-      if ((as_number .or. as_second) .and. as_fraction) call refuse_key(plan, &
-        'threshold_fraction', 'is given beside '//trim(merge('threshold ', 'threshold2', &
-        as_number)), 'one of the two')
-      if (plan%base%urn1_number /= not_given .and. (base(key_urn1_fraction)%known &
-        .or. is_scanned(plan, 'urn1_fraction'))) call refuse_key(plan, 'urn1_number', &
-        'is given beside urn1_fraction', 'one of the two')
+      if (.not. base(key_number)%known) call refuse_value(plan, 'number', 'is missing', &
+        'one whole number from 1 up', of_missing)
+      if (.not. any(base([key_threshold, key_threshold_fraction])%known)) call refuse_value(plan, &
+        'threshold', 'is missing', 'one whole number or two from 0 up, or threshold_fraction, or ' &
+        //'a list of either in &scan', of_missing)
+      if ((base(key_threshold)%known .or. is_scanned(plan, 'threshold2')) .and. &
+        base(key_threshold_fraction)%known) call refuse_key(plan, 'threshold_fraction', &
+        'is given beside '//trim(merge('threshold ', 'threshold2', base(key_threshold)%known)), &
+        'one of the two')
+      if (plan%base%urn1_number /= not_given .and. base(key_urn1_fraction)%known) call refuse_key( &
+        plan, 'urn1_number', 'is given beside urn1_fraction', 'one of the two')
     end associate
     if (plan%shape == 'urn') then
       call refuse_scan('channel2_width', 'the shape ''urn'' has no channel 2')
@@ -401,9 +399,26 @@ contains
     !> The value, its bounds, and the reason for them.
     real(wp), intent(in) :: value, least, most
     integer, intent(in) :: reason
+    character(len=:), allocatable :: why
 
-    if (.not. (value >= least .and. value <= most)) &
-      call refuse_value(plan, key, to_text(value), bounds_text(least, most, reason))
+    if (value >= least .and. value <= most) return
+    select case (reason)
+    case (of_powers)
+      why = 'whose fourth powers are finite'
+    case (of_lengths)
+      why = 'so that '//to_text(finest) &
+        //' of the longest of urn_radius and the channels'' lengths is no longer than the shortest'
+    case (of_widths)
+      why = 'which are '//to_text(finest) &
+        //' of the longest length of the table, and 2 urn_radius less that share of urn_radius'
+    case (of_times)
+      why = 'which are '//to_text(finest)//' of the longest length of the table, and ' &
+        //to_text(longest_run)//' urn_radius'
+    case default
+      why = 'which is '//to_text(longest_run)//' urn_radius'
+    end select
+    call refuse_value(plan, key, to_text(value), 'from '//to_text(least)//' to '//to_text(most) &
+      //', '//why)
   end subroutine check_range
 
   !> Length of channel 2, or 0 if it is closed.

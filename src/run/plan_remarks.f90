@@ -4,7 +4,7 @@ module battery_plan_remarks
   use battery_current_age, only: current_remark
   use battery_keys, only: key_radius
   use battery_kinds, only: wp, dp
-  use battery_findings, only: finding_type, finding_of, of_remark
+  use battery_findings, only: findings_type, finding_type, finding_of, add_finding, of_remark
   use battery_plan, only: plan_type, point_type, point_of, points_text, is_scanned
   use battery_table, only: channel2
   use battery_text, only: string_type, to_text, join
@@ -19,10 +19,11 @@ contains
     type(plan_type), intent(in) :: plan
     !> Expected duration of the run in seconds; 0: not known.
     real(dp), intent(in) :: seconds
-    type(string_type), allocatable :: remarks(:)
+    type(findings_type) :: remarks
     type(point_type) :: point
     type(finding_type) :: finding
-    type(string_type) :: sentences(4), remark, radii(2)
+    type(string_type) :: sentences(4), radii(2)
+    character(len=:), allocatable :: young
     !> Whether each gate never reverses: it does when it counts more than T particles.
     logical :: never(2)
     !> Whether each sentence holds at a point; number of points where it does, and the first.
@@ -45,28 +46,23 @@ contains
     sentences(3)%text = 'gate 2 never reverses, for its T is not below N'
     if (points(4) > 0) sentences(4)%text = 'disc '//to_text(shutting_disc(plan, point_of(plan, &
       first(4))))//' of scatterers reaches from wall to wall: no particle passes channel 2'
-    allocate (remarks(0))
     do at = 1, size(sentences)
       if (points(at) == 0) cycle
       finding = finding_of(0, sentences(at)%text, key='', kind=of_remark)
       finding%points = points(at)
       finding%first_point = first(at)
-      ! Not in a structure constructor: gfortran 13 takes a wrong length there.
-      remark%text = finding%value//points_text(plan, finding)
-      remarks = [remarks, remark]
+      call add_finding(remarks, finding_of(0, finding%value//points_text(plan, finding)))
     end do
     ! A decimal comma separates two numbers.
     do at = 1, 2
       radii(at)%text = to_text(plan%base%of(key_radius)%real(at))
     end do
     if (plan%shape /= 'urn' .and. radii(1)%text /= radii(2)%text .and. .not. (is_scanned(plan, &
-      'urn_radius') .or. is_scanned(plan, 'urn_radius2'))) then
-      remark%text = 'urn_radius = '//join(radii, ', ')//' are two radii: '//radii(1)%text &
-        //' of urn 1, '//radii(2)%text//' of urn 2'
-      remarks = [remarks, remark]
-    end if
-    remark%text = current_remark(plan, seconds)
-    if (remark%text /= '') remarks = [remarks, remark]
+      'urn_radius') .or. is_scanned(plan, 'urn_radius2'))) call add_finding(remarks, finding_of(0, &
+      'urn_radius = '//join(radii, ', ')//' are two radii: '//radii(1)%text//' of urn 1, ' &
+      //radii(2)%text//' of urn 2'))
+    young = current_remark(plan, seconds)
+    if (young /= '') call add_finding(remarks, finding_of(0, young))
   end function remarks_of
 
   !> The first disc that reaches from wall to wall of channel 2; 0: none. Discs do not touch each
