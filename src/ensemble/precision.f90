@@ -18,7 +18,7 @@ module battery_precision
     point_two_states, point_undecided
   implicit none (type, external)
   private
-  public :: decide_replicas, has_two_states, cut_between_groups
+  public :: decide_replicas, has_two_states, in_two_states, cut_between_groups
 
   !> Probability that a normal variable is less than one standard deviation above its mean.
   real(dp), parameter :: below_one = 0.841344746068543_dp
@@ -27,6 +27,11 @@ module battery_precision
   !> variance: groups of equal size are then more than six of their standard deviations apart. A
   !> single normal distribution, cut in two, has 36 % within, a uniform one 25 %.
   real(dp), parameter :: within = 0.1_dp
+
+  !> Where no precision is required, replicas may be few. Of n in one state that fraction is below x
+  !> with a probability of about x**((n - 2)/2), which must be below `chance`; and the chi of two
+  !> states differ by more than `jump`. The same rule is in `postproc/reading/points.py`.
+  real(dp), parameter :: chance = 1.0e-4_dp, jump = 0.3_dp
 
 contains
 
@@ -75,17 +80,49 @@ contains
     end do
   end subroutine decide_replicas
 
+  !> Whether the replicas of each point are in two states: as found when their number was decided,
+  !> or by the chi of those that are complete.
+  function in_two_states(results) result(yes)
+    type(results_type), intent(in) :: results
+    logical :: yes(size(results%point))
+    real(dp), allocatable :: values(:)
+    real(dp) :: fraction
+    integer :: p, chi
+
+    yes = .false.
+    if (allocated(results%point_status)) yes = results%point_status == point_two_states
+    chi = place_of('chi', real_quantities())
+    do p = 1, size(yes)
+      values = pack(results%average(:, p, chi), results%task_status(:, p) == task_complete)
+      if (size(values) <= 2) cycle
+      fraction = fraction_within(values)
+      yes(p) = yes(p) .or. (fraction < within .and. fraction**(0.5_dp*size(values) - 1.0_dp) &
+        < chance .and. maxval(values) - minval(values) > jump)
+    end do
+  end function in_two_states
+
   !> Whether values form two separate groups, each of one value or more.
   logical function has_two_states(values) result(yes)
     !> Values, finite, one or more.
     real(dp), intent(in) :: values(:)
-    real(dp) :: cut
 
-    cut = cut_between_groups(values)
-    yes = squared_deviations(values) > size(values)*(rounding*maxval(abs(values)))**2 &
-      .and. squared_deviations(pack(values, values <= cut)) + squared_deviations(pack(values, &
-      values > cut)) < within*squared_deviations(values)
+    yes = fraction_within(values) < within
   end function has_two_states
+
+  !> Fraction of the variance that is within the groups of the best division into two; 1 if values
+  !> are equal.
+  real(dp) function fraction_within(values) result(fraction)
+    !> Values, finite, one or more.
+    real(dp), intent(in) :: values(:)
+    real(dp) :: cut, total
+
+    fraction = 1.0_dp
+    total = squared_deviations(values)
+    if (.not. total > size(values)*(rounding*maxval(abs(values)))**2) return
+    cut = cut_between_groups(values)
+    fraction = (squared_deviations(pack(values, values <= cut)) &
+      + squared_deviations(pack(values, values > cut)))/total
+  end function fraction_within
 
   !> The greatest value of the lower group in the best division into two groups. A division reduces
   !> the sum of squares by n d**2/(k (n - k)), with d the sum of the deviations of the lowest k

@@ -8,10 +8,9 @@ module battery_summary
   use battery_plan, only: plan_type, point_text, is_scanned
   use battery_table, only: channel1, channel2
   use battery_tasks, only: task_count
-  use battery_precision, only: cut_between_groups
+  use battery_precision, only: cut_between_groups, in_two_states
   use battery_quantities, only: real_quantities, integer_quantities, place_of
-  use battery_results, only: results_type, task_complete, task_not_asked, &
-    point_two_states, point_not_precise
+  use battery_results, only: results_type, task_complete, task_not_asked, point_not_precise
   use battery_files, only: file_exists
   use battery_terminal, only: print_line
   use battery_text, only: string_type, duration_text, rate_text, to_text, count_text, numbers_text
@@ -70,8 +69,9 @@ contains
     done = count(results%task_status == task_complete)
     call print_line(to_text(done)//' of '//to_text(count(results%task_status /= task_not_asked)) &
       //' tasks are complete')
-    call list_points(results, point_two_states, 'replicas fall into two states')
-    call list_points(results, point_not_precise, 'the precision was not reached')
+    call list_points(in_two_states(results), 'replicas fall into two states')
+    if (allocated(results%point_status)) call list_points(results%point_status &
+      == point_not_precise, 'the precision was not reached')
     rate = rate_text(real(collisions, dp)/max(seconds, 1.0e-9_dp))//' collisions/s in ' &
       //duration_text(seconds)//' on '//count_text(ranks, 'rank')
     if (ranks > 1) rate = rate//', busy for '//to_text(nint(100.0_dp*busy))//' % of the time'
@@ -256,7 +256,7 @@ contains
     integer :: k
 
     text = ''
-    two_states = has_status(results, point_two_states)
+    two_states = in_two_states(results)
     associate (status => results%task_status(:, p))
       values = results%average(pack([(k, k=1, size(status))], status == task_complete), p, &
         places([(k, k=1, size(names))]))
@@ -281,27 +281,15 @@ contains
     end do
   end function means_text
 
-  !> Whether each point has a given status, if a precision is required.
-  pure function has_status(results, status) result(yes)
-    type(results_type), intent(in) :: results
-    integer, intent(in) :: status
-    logical :: yes(size(results%point))
-
-    yes = .false.
-    if (allocated(results%point_status)) yes = results%point_status == status
-  end function has_status
-
-  !> Prints the numbers of the points with a given status, and its meaning.
-  subroutine list_points(results, status, meaning)
-    type(results_type), intent(in) :: results
-    integer, intent(in) :: status
+  !> Prints the numbers of points, if there are any.
+  subroutine list_points(chosen, meaning)
+    !> Whether each point is one of them; what they have in common.
+    logical, intent(in) :: chosen(:)
     character(len=*), intent(in) :: meaning
-    integer, allocatable :: points(:)
     integer :: p
 
-    points = pack([(p - 1, p=1, size(results%point))], has_status(results, status))
-    if (size(points) > 0) call print_line(meaning//', points (from 0): ' &
-      //numbers_text(real(points, wp), ' '))
+    if (any(chosen)) call print_line(meaning//', points (from 0): ' &
+      //numbers_text(pack([(real(p - 1, wp), p=1, size(chosen))], chosen), ' '))
   end subroutine list_points
 
   !> The values of the keys of the scan, and the replica, of a task.
