@@ -288,8 +288,17 @@ class Circuit:
         if all(good for _, good, _ in rules) and corners is not None:
             rules.append(("urn_vertices", *self._shape()))
         if all(good for _, good, _ in rules):
-            least = FINEST * max(*_both(self.urn_radius), self.channel1_length,
-                                 self.channel2_length)  # fmt: skip
+            radii, first = _both(self.urn_radius), self.channel1_length
+            second = self.channel2_length if self.channel2_width else 0.0  # if it is open
+            least = FINEST * max(*radii, first, second)
+            for key, value, other in (
+                ("urn_radius", max(radii), max(first, second)),
+                ("channel1_length", first, second),
+                ("channel2_length", second or first, first),
+            ):
+                low, high = FINEST * max(min(radii), other), min(radii) / FINEST
+                fits = corners is not None or low <= value <= high
+                rules.append((key, fits, f"from {low:.1e} to {high:.1e}"))
             for key, value, way, zero in (
                 ("channel1_width", self.channel1_width, 1.0, ""),
                 ("channel2_width", self.channel2_width, -1.0, "0, or "),

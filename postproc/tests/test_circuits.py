@@ -132,6 +132,7 @@ SQUARE = (1.0, -1.0, 1.0, 1.0, -1.0, 1.0, -1.0, -1.0)
         ({"threshold": -3}, "threshold = -3; allowed: one whole number from 0 to 2147483647"),
         ({"channel2_width": 2.5}, "channel2_width = 2.5; allowed: 0, or one number from 9.1e-13"),
         ({"urn_radius": (1.0, 0.1)}, "channel1_width = 0.3; allowed: one number from 9.1e-13"),
+        ({"channel1_length": 1e-20}, "channel1_length = 1e-20; allowed: from 9.1e-13 to 1.1e+12"),
         ({"channel1_width": 1e-320}, "channel1_width = 1e-320; allowed: one number from 9.1"),
         (
             {"urn_vertices": (math.nan, -1, 1, 1, -1, 1)},
