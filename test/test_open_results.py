@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import warnings
 from itertools import product
 from typing import TYPE_CHECKING, Any
 
@@ -207,6 +208,8 @@ def test_a_file_that_was_opened_for_writing_is_read_with_one_warning(tmp_path: P
         file.attrs["remark"] = "of its reader"
     with pytest.warns(UserWarning, match="has no digest at its end") as warned:
         after = postproc.open_results(path)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
         assert after.final.equals(before.final)
     assert len(warned) == 1
     assert after.attrs.pop("remark") == "of its reader"

@@ -167,7 +167,7 @@ contains
   logical function has_mark(name, first) result(yes)
     !> Path of the file; its first bytes.
     character(len=*), intent(in) :: name, first
-    character(len=beginning) :: piece
+    character(len=:), allocatable :: piece
     integer(int64) :: bytes, at
     integer :: unit, status
 
@@ -179,8 +179,8 @@ contains
     inquire (unit, size=bytes)
     ! Pieces overlap, since the mark may lie across the end of one.
     do at = 1, bytes, beginning - len(mark)
-      piece = ''
-      read (unit, pos=at, iostat=status) piece(:min(bytes - at + 1, int(beginning, int64)))
+      piece = repeat(' ', int(min(bytes - at + 1, int(beginning, int64))))
+      read (unit, pos=at, iostat=status) piece
       yes = status == 0 .and. index(piece, mark) > 0
       if (yes .or. status /= 0) exit
     end do
