@@ -2,20 +2,21 @@
 
 from __future__ import annotations
 
+import io
 import math
-import re
 import tempfile
 from collections.abc import Mapping
+from contextlib import redirect_stdout
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import f90nml
 import numpy as np
 
 from postproc import cli
 from postproc.advice import advice
 from postproc.advice.advice import table_of
 from postproc.circuits import Circuit
+from postproc.reading.grid import groups_in
 from postproc.running import plan, write_namelist
 
 if TYPE_CHECKING:
@@ -89,7 +90,9 @@ def circuit_of(namelist: str | Path | Groups) -> tuple[Groups, Model]:
     particles, gate = groups.get("particles", {}), groups.get("gate", {})
     if particles.get("initial_file"):
         raise cli.InputError(f"{path}: there is no advice on &particles initial_file")
-    number = particles["number"]
+    number = particles.get("number")
+    if not isinstance(number, int):  # f90nml reads less than the program
+        raise cli.InputError(f"{path}: &particles number is not found")
     fractions = np.atleast_1d(gate.get("threshold_fraction", []))
     thresholds = gate.get("threshold", [_nearest(one * number) for one in fractions])
     circuit = Circuit(number, thresholds, **groups.get("table", {})).model()
@@ -136,15 +139,15 @@ def _groups_of(namelist: str | Path | Groups) -> tuple[str, dict[str, Any]]:
     else:
         path = cli.existing_file(cli.path_of(namelist, "namelist"))
         name, content = str(path), path.read_bytes()
+    with redirect_stdout(io.StringIO()):  # f90nml prints what it does not understand
+        groups = groups_in(content.decode("utf-8-sig", errors="replace"))
     with tempfile.TemporaryDirectory() as folder:
         copy = Path(folder, "namelist.nml")
-        length = b"" if re.search(rb"(?im)^\s*[&$]run\b", content) else LENGTH
-        copy.write_bytes(content + length)
+        copy.write_bytes(content if "run" in groups else content + LENGTH)
         try:
             plan(copy, overwrite=True)
         except cli.InputError as problem:
             raise cli.InputError(str(problem).replace(str(copy.resolve()), name)) from problem
-    groups = f90nml.reads(content.decode("utf-8-sig", errors="replace")).todict()
     # Besides keys that are given no value, f90nml adds places of those with indices.
     return name, {group: {key: value for key, value in keys.items()
                           if value is not None and key != "_start_index"}
