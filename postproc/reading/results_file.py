@@ -226,7 +226,13 @@ def _dimensions(dataset: h5py.Dataset) -> tuple[str, ...] | None:
     scales = dataset.attrs.get("DIMENSION_LIST", ())
     if len(scales) == 0 or not all(len(references) for references in scales):
         return None
-    names = [dataset.file[one[0]].name for one in scales]
+    try:
+        names = [dataset.file[one[0]].name for one in scales]
+    except KeyError as problem:
+        told = "is not in the file; was that copied in parts?"
+        raise InputError(
+            f"{dataset.file.filename}: a dimension of {dataset.name} {told}"
+        ) from problem
     if None in names:  # h5py's answer where the disk fails
         raise OSError(f"the names of the dimensions of {dataset.name}")
     return tuple(name.rpartition("/")[2] for name in names)

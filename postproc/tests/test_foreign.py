@@ -179,6 +179,17 @@ def test_a_file_that_is_replaced_while_it_is_verified_is_whole(
     assert not another.exists()
 
 
+def test_a_file_that_was_copied_in_parts_is_one_line(ours: Path, tmp_path: Path) -> None:
+    """HDF5 copies each dataset without the scales of its dimensions, which are others."""
+    path = tmp_path / "parts.h5"
+    with h5py.File(ours) as given, h5py.File(path, "w") as made:
+        for name in given:
+            given.copy(name, made)
+        made.attrs.update(given.attrs)
+    with pytest.warns(UserWarning, match="no digest"), pytest.raises(InputError, match="in parts"):
+        open_results(path)
+
+
 def test_error_lines_have_no_escape_sequences(
     theirs: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
