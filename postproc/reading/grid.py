@@ -327,14 +327,18 @@ def dataset_of(
 def selected(data: xr.Dataset, values: dict[str, float]) -> xr.Dataset:
     """Return the points with these values of keys; raise `InputError` if there are none."""
     for key, value in values.items():
-        if key not in data.coords or data[key].dims != (key,):
-            keys = ", ".join(str(one) for one in data["task"].dims)
-            raise InputError(f"there is no scanned key {key} to select by; there are {keys}")
+        # Merged points that are no grid have values of their own.
+        axes = [str(one) for one in data["task"].dims]
+        dims = data[key].dims if key in data.variables else ()
+        if dims not in ((key,), ("point",)):
+            raise InputError(
+                f"there is no scanned key {key} to select by; there are {', '.join(axes)}"
+            )
         near = np.isclose(data[key], value, rtol=1e-9, atol=0.0)
         if not near.any():
-            known = ", ".join(f"{one:g}" for one in data[key].values)
+            known = ", ".join(f"{one:g}" for one in np.unique(data[key]))
             raise InputError(f"no point has {key} = {value:g}; there are {known}")
-        data = data.isel({key: int(np.flatnonzero(near)[0])})
+        data = data.isel({dims[0]: np.flatnonzero(near) if dims == ("point",) else near.argmax()})
     return data
 
 

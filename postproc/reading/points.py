@@ -247,7 +247,8 @@ def need_only(points: xr.Dataset, *shown: str) -> None:
         told = ", ".join(f"{one:g}" for one in values[:6])
         raise InputError(
             f"this figure has no place for {' and '.join(varying)} ({name}: {told}): choose, "
-            f"--select {name}={values[0]:g} or data.sel({name}={values[0]:g})"
+            f"--select {name}={values[0]:g} or data.sel({name}={values[0]:g}) "
+            "(data.isel(point=...) of merged points that are no grid)"
         )
 
 

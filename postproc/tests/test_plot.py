@@ -26,6 +26,7 @@ from postproc import InputError, plot
 from postproc.commands import plot as commands
 from postproc.figures import circuits, maps, passages
 from postproc.reading import results_file
+from postproc.reading.grid import selected
 from postproc.reading.points import by_point
 from postproc.reporting import data as columns_of
 from postproc.tests.commands import call
@@ -484,6 +485,7 @@ def test_merged_replicas_are_side_by_side_and_errors_made_anew(folder: Path) -> 
     twice = postproc.merge([*paths, folder / "map.h5"])
     assert twice["chi"].dims == ("point", "replica")  # not all combinations are there
     assert len(postproc.table(twice)) == 2 + 6
+    assert set(selected(twice, {"threshold": 2.0})["threshold"].values) == {2}
 
 
 def test_merged_scans_over_fractions_keep_their_grid(tmp_path: Path) -> None:
