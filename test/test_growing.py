@@ -75,16 +75,18 @@ def test_grown_results_are_those_of_the_whole(
 
 
 def test_finished_tasks_are_not_done_again(tmp_path: Path) -> None:
-    """What a task took of a processor is still what it took then."""
+    """What a task took of a processor is what it took then; who may read the file is who might."""
     write(tmp_path)
     complete(tmp_path)
     with h5py.File(tmp_path / "out.h5") as file:
         before = file["cpu_seconds"][()]
+    (tmp_path / "out.h5").chmod(0o640)
     write(tmp_path, scan={"replicas": 5})
     complete(tmp_path)
     with h5py.File(tmp_path / "out.h5") as file:
         assert file["chi"].shape == (2, 5)
         np.testing.assert_array_equal(file["cpu_seconds"][:, :2], before)
+    assert (tmp_path / "out.h5").stat().st_mode & 0o777 == 0o640
 
 
 def test_run_under_way_grows(tmp_path: Path) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import math
+import re
 import tempfile
 from collections.abc import Mapping
 from contextlib import redirect_stdout
@@ -107,11 +108,13 @@ def circuit_of(namelist: str | Path | Groups) -> tuple[Groups, Model]:
 def _of_one_point(namelist: str | Path | Groups) -> tuple[str, dict[str, Any]]:
     """Return name and groups of a namelist, with what it scans, of one value, in their groups."""
     path, groups = _groups_of(namelist)
+    table = groups.get("table", {})
+    for key in ("shape", "urn_shape"):
+        if table.get(key) in ("circuit", "disc"):
+            del table[key]
     for name, keys in KNOWN.items():
         strange = sorted(set(groups.get(name, {})) - set(keys))
-        if strange == ["shape"] and groups[name]["shape"] == "circuit":
-            groups[name].pop("shape")
-        elif strange:
+        if strange:
             raise cli.InputError(f"{path}: there is no advice on &{name} {strange[0]}")
     scanned = {key: value for key, value in groups.get("scan", {}).items() if key != "replicas"}
     for key, value in scanned.items():
@@ -139,15 +142,16 @@ def _groups_of(namelist: str | Path | Groups) -> tuple[str, dict[str, Any]]:
     else:
         path = cli.existing_file(cli.path_of(namelist, "namelist"))
         name, content = str(path), path.read_bytes()
-    with redirect_stdout(io.StringIO()):  # f90nml prints what it does not understand
-        groups = groups_in(content.decode("utf-8-sig", errors="replace"))
     with tempfile.TemporaryDirectory() as folder:
         copy = Path(folder, "namelist.nml")
-        copy.write_bytes(content if "run" in groups else content + LENGTH)
+        has_run = re.search(rb"(?im)^[^!\n]*[&$]run\b", content)
+        copy.write_bytes(content if has_run else content + LENGTH)
         try:
             plan(copy, overwrite=True)
         except cli.InputError as problem:
             raise cli.InputError(str(problem).replace(str(copy.resolve()), name)) from problem
+    with redirect_stdout(io.StringIO()):  # f90nml prints what it does not understand
+        groups = groups_in(content.decode("utf-8-sig", errors="replace").replace("/&", "/ &"))
     # Besides keys that are given no value, f90nml adds places of those with indices.
     return name, {group: {key: value for key, value in keys.items()
                           if value is not None and key != "_start_index"}

@@ -286,7 +286,9 @@ def _tasks(given: Sequence[xr.Dataset]) -> tuple[pd.DataFrame, list[str]]:
     for one in given:
         rows = flat(one, "task_status", "seed")
         if rows["task_status"].dtype.kind != "i":  # such as after `where`
-            raise InputError("merge: of datasets of open_results or merge, or of points of them")
+            raise InputError(
+                "merge: of datasets of open_results, or points that sel or isel choose"
+            )
         kept = [name for name, values in rows.data_vars.items()
                 if set(values.dims) <= {"point", "replica"}
                 and not str(name).startswith("theory_")]  # fmt: skip

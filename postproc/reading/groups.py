@@ -47,8 +47,9 @@ def group_of(data: xr.Dataset, group: str) -> xr.Dataset:
     """
     files = data.attrs.get("files", [])
     known = files and {"task", "task_status"} <= set(data.variables)
-    if not known or data["task"].dtype.kind != "i":  # such as a mean over replicas
-        raise InputError(f"{group}: of a dataset of open_results or merge, or of points of it")
+    if not known or data["task"].dtype.kind != "i":  # such as a mean, or after `where`
+        told = "of points of it that sel or isel choose"
+        raise InputError(f"{group}: of a dataset of open_results or merge, or {told}")
     task, complete = data["task"], data["task_status"].variable == COMPLETE
     places = task.values.ravel()
     file = np.ravel(data["file"]) if "file" in data else np.zeros(places.size)

@@ -119,7 +119,7 @@ def by_point(data: xr.Dataset) -> xr.Dataset:
     known = [name for name in PARAMETERS if name in points]
     lost = [name for name in known if "replica" in points[name].dims or points[name].isnull().any()]
     if lost:
-        told = "choose points by sel, isel, or where with drop=True"
+        told = "choose points by sel or isel"
         raise InputError(f"data: {lost[0]} is not known at every point; {told}")
     keys = [str(name) for name in data["task"].dims if name not in ("replica", "point")] or known
     size, status = points.sizes["point"], points["task_status"]

@@ -364,7 +364,10 @@ def test_numbers_of_particles_have_their_ticks_and_theories_marks(tmp_path: Path
         (lambda one: plot.flows(one, replica=0.5), "replica 0.5 is not one of 0 to 1"),
         (lambda one: postproc.mean_error(one["chi"].values), "replica, not ndarray"),
         (lambda _: postproc.merge(3), "file = 3: must be a path"),
-        (lambda one: postproc.merge([one.where(one["chi"] > 2.0)]), "merge: of datasets of"),
+        (
+            lambda one: postproc.merge([one.where(one["chi"] > 2.0)]),
+            "merge: of datasets of open_results, or points",
+        ),
         (lambda one: postproc.table(one.isel(replica=[])), "data: has no replica"),
         (lambda one: postproc.mean_error(one["chi"].isel(replica=[])), "there is no replica"),
         (lambda one: plot.curves(one.where(one["chi"] > 2.0)), "is not known at every point"),
@@ -633,7 +636,7 @@ def test_merged_results_have_their_series_each_to_its_end(tmp_path: Path) -> Non
     with pytest.raises(InputError, match=r"90\.h5: has changed since it was opened"):
         both.series  # noqa: B018 (it reads)
     for part in (short[["chi"]], short.mean("replica")):
-        with pytest.raises(InputError, match="or of points of it"):
+        with pytest.raises(InputError, match="or of points of it that"):
             part.series  # noqa: B018 (it reads)
 
 
