@@ -152,7 +152,8 @@ def _groups_of(namelist: str | Path | Groups) -> tuple[str, dict[str, Any]]:
             raise cli.InputError(str(problem).replace(str(copy.resolve()), name)) from problem
     with redirect_stdout(io.StringIO()):  # f90nml prints what it does not understand
         groups = groups_in(content.decode("utf-8-sig", errors="replace").replace("/&", "/ &"))
-    # Besides keys that are given no value, f90nml adds places of those with indices.
-    return name, {group: {key: value for key, value in keys.items()
+    # Of values with indices f90nml makes lists, and adds their places.
+    return name, {group: {key: value[0] if isinstance(value, list) and len(value) == 1 else value
+                          for key, value in keys.items()
                           if value is not None and key != "_start_index"}
                   for group, keys in groups.items()}  # fmt: skip

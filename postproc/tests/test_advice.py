@@ -72,7 +72,8 @@ def test_a_namelist_and_the_same_circuit_by_options(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     file = tmp_path / "case.nml"
-    file.write_text(CASE.replace("\n", " ") + "&run duration = 5 /")
+    case = CASE.replace("\n", " ").replace("number =", "number(1:1) =")
+    file.write_text(case + "&run duration = 5 /")
     assert call("advise", [str(file), "--tolerance", "0.002"]) == 0
     one, sentence = told(capsys)
     names = ["rung", "replicas", "duration", "cpu_seconds", "confidence", "reason"]
