@@ -85,9 +85,14 @@ class Circuit:
 
     def __post_init__(self) -> None:
         """Check all values; lists become tuples, so that circuits can be compared."""
-        for key in ("threshold", "urn_radius", "urn_vertices"):
-            if isinstance(value := getattr(self, key), (list, np.ndarray)):
-                object.__setattr__(self, key, tuple(np.ravel(value).tolist()))
+        for one in fields(self):
+            value = getattr(self, one.name)
+            plain = (
+                np.asarray(value).tolist() if hasattr(value, "ndim") else value
+            )  # of xarray, too
+            if isinstance(plain, list):
+                plain = tuple(np.ravel(plain).tolist())
+            object.__setattr__(self, one.name, plain)
         if problems := self._problems():
             raise InputError("; ".join(problems))
 

@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import f90nml
+import numpy as np
 
 from postproc.cli import (
     EXIT_BAD_INPUT,
@@ -303,6 +304,7 @@ def _values(
     values = {}
     for key, value in keys.items():
         plain = value.tolist() if hasattr(value, "tolist") else value
+        plain = np.asarray(value).tolist() if hasattr(value, "dims") else plain  # of xarray
         plain = str(plain) if isinstance(plain, Path) else plain
         plain = list(plain) if isinstance(plain, (tuple, range)) else plain
         name = str(key).lower()

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import xarray as xr
 from matplotlib.figure import Figure
 
 from postproc import Circuit, InputError, circuits
@@ -100,6 +101,13 @@ def test_a_narrow_channel_2_that_ends_the_battery_is_found_by_direction_too() ->
     assert [state.kind for state in closed.states("direction")] == ["unstable", "stable"]
     with pytest.raises(InputError, match="finds no flows"):  # the gates carry less than it knows
         replace(closed, number=1000, channel1_length=3.0).states("direction")
+
+
+def test_values_of_xarray_are_numbers() -> None:
+    """As a loop over a coordinate gives them."""
+    thresholds = xr.DataArray([3, 7], dims="threshold")
+    assert [Circuit(100, one) for one in thresholds] == [Circuit(100, 3), Circuit(100, 7)]
+    assert Circuit(100, thresholds) == Circuit(100, (3, 7))
 
 
 def test_a_gate_that_never_reverses_has_no_line_of_transition() -> None:
