@@ -138,8 +138,8 @@ contains
     status = c_put_in_place(temporary//c_null_char, final//c_null_char, before%mark)
     if (status < 0) then
       call fatal_error(error, what//', since '//final//' is something else now than it was when ' &
-        //'the run began; if another program only added to it, battery --accept FILE.nml takes it ' &
-        //'as it is; else move that away, and the same command goes on')
+        //'the run began; if another program only added to it, battery --accept FILE.nml takes ' &
+        //'it as it is; else move that away, and the same command goes on')
     else
       call set_system_error(status, what//'; it cannot be renamed to '//final, error)
     end if
