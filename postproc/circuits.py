@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from postproc.cli import InputError
+from postproc.cli import InputError, plain_value
 from postproc.theory.circuit import PAPERS_AGE
 from postproc.theory.circuit import Circuit as Model
 from postproc.theory.models import named
@@ -86,10 +86,7 @@ class Circuit:
     def __post_init__(self) -> None:
         """Check all values; lists become tuples, so that circuits can be compared."""
         for one in fields(self):
-            value = getattr(self, one.name)
-            plain = (
-                np.asarray(value).tolist() if hasattr(value, "ndim") else value
-            )  # of xarray, too
+            plain = plain_value(getattr(self, one.name))
             if isinstance(plain, list):
                 plain = tuple(np.ravel(plain).tolist())
             object.__setattr__(self, one.name, plain)

@@ -202,6 +202,12 @@ def replaced(path: Path) -> Iterator[Path]:
         half.unlink(missing_ok=True)
 
 
+def plain_value(value: Any) -> Any:  # noqa: ANN401 (of any type)
+    """Return values of numpy, pandas or xarray as numbers or lists; others as they are."""
+    found = value.to_numpy() if hasattr(value, "dims") else value  # xarray has no `tolist`
+    return found.tolist() if hasattr(found, "tolist") else found
+
+
 def path_of(value: object, name: str) -> Path:
     """Return the argument `name` as a path; raise `InputError` if it is none."""
     if not isinstance(value, (str, os.PathLike)) or not str(value) or "\0" in str(value):

@@ -19,7 +19,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import f90nml
-import numpy as np
 
 from postproc.cli import (
     EXIT_BAD_INPUT,
@@ -29,6 +28,7 @@ from postproc.cli import (
     file_to_write,
     output_folder,
     path_of,
+    plain_value,
     replaced,
 )
 from postproc.launcher import own_environment, program_words
@@ -303,8 +303,7 @@ def _values(
     """Return the values of a group for a namelist; append errors to `problems`."""
     values = {}
     for key, value in keys.items():
-        plain = value.tolist() if hasattr(value, "tolist") else value
-        plain = np.asarray(value).tolist() if hasattr(value, "dims") else plain  # of xarray
+        plain = plain_value(value)
         plain = str(plain) if isinstance(plain, Path) else plain
         plain = list(plain) if isinstance(plain, (tuple, range)) else plain
         name = str(key).lower()

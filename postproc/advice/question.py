@@ -31,7 +31,8 @@ KNOWN = {
     "particles": ("number", "urn1_number", "urn1_fraction", "seed", "initial_file"),
 }  # fmt: skip
 
-LENGTH = b"\n&run collisions = 10000000000 /\n"
+# Added to a namelist without a length of its run: the program wants one, advice does not.
+RUN = b"\n&run collisions = 10000000000 /\n"
 
 
 def advise(
@@ -109,8 +110,8 @@ def _of_one_point(namelist: str | Path | Groups) -> tuple[str, dict[str, Any]]:
     """Return name and groups of a namelist, with what it scans, of one value, in their groups."""
     path, groups = _groups_of(namelist)
     table = groups.get("table", {})
-    for key in ("shape", "urn_shape"):
-        if table.get(key) in ("circuit", "disc"):
+    for key, usual in (("shape", "circuit"), ("urn_shape", "disc")):
+        if table.get(key) == usual:
             del table[key]
     for name, keys in KNOWN.items():
         strange = sorted(set(groups.get(name, {})) - set(keys))
@@ -145,7 +146,7 @@ def _groups_of(namelist: str | Path | Groups) -> tuple[str, dict[str, Any]]:
     with tempfile.TemporaryDirectory() as folder:
         copy = Path(folder, "namelist.nml")
         has_run = re.search(rb"(?im)^[^!\n]*[&$]run\b", content)
-        copy.write_bytes(content if has_run else content + LENGTH)
+        copy.write_bytes(content if has_run else content + RUN)
         try:
             plan(copy, overwrite=True)
         except cli.InputError as problem:

@@ -142,8 +142,8 @@ def _two_states(points: xr.Dataset) -> NDArray[np.bool_]:
 
     The rule is that of the program, that the values form two groups with a small share of the
     variance within them. Of n replicas in one state this has a probability of about share**((n -
-    2)/2), which for less than ten is not small: then the share must be less, and two or three show
-    nothing.
+    2)/2), which for less than ten is not small: then the share must be less, and fewer than four
+    show nothing.
     """
     known = (points.get("point_status", xr.zeros_like(points["start"])) == TWO_STATES).values
     if "chi" not in points or points.sizes["replica"] == 1:
@@ -158,7 +158,7 @@ def _two_states(points: xr.Dataset) -> NDArray[np.bool_]:
     share = 1.0 - taken.max(axis=1) / np.where(squares > ROUNDING, squares, math.inf)
     unlikely = np.maximum(share, 0.0) ** (0.5 * count[:, 0] - 1.0) < CHANCE
     apart = np.nanmax(away, axis=1, initial=0.0) - np.nanmin(away, axis=1, initial=0.0) > JUMP
-    return known | ((share < WITHIN) & unlikely & apart)
+    return known | ((count[:, 0] > 3) & (share < WITHIN) & unlikely & apart)
 
 
 def keys_of(points: xr.Dataset) -> dict[str, NDArray[np.generic]]:

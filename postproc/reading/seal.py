@@ -53,19 +53,18 @@ def check_seal(path: Path, *, verify: bool = False, quiet: bool = False) -> None
         first = file.read(PIECE)
         end = _end_in_hdf5(first)
         file.seek(max(size - LENGTH, 0))
-        last = file.read()
+        last, marked = file.read(), _has_mark(file, first)
         if in_place := last.startswith(FIRST_LINE.encode()):
             content = size - LENGTH
         else:  # it was cut off, in part or as a whole, or something is behind it
-            content = end if 0 < end <= size and _has_mark(file, first) else size
+            content = end if marked and 0 < end <= size else size
         file.seek(content)
         digits = _digest_in(file.read(PIECE))
         whole = last == seal_of(size - LENGTH, digits)
         if digits and (verify or not whole) and digits != _digest(file, content):
             raise InputError(f"{path}: damaged: its digest is wrong")
-        if whole:
-            return
-        marked = _has_mark(file, first)
+    if whole:
+        return
     known = marked and content == end
     if in_place and not (known and digits):
         raise InputError(f"{path}: damaged: its digest is wrong")

@@ -30,7 +30,8 @@ module battery_precision
 
   !> Where no precision is required, replicas may be few. Of n in one state that fraction is below x
   !> with a probability of about x**((n - 2)/2), which must be below `chance`; and the chi of two
-  !> states differ by more than `jump`. The same rule is in `postproc/reading/points.py`.
+  !> states differ by more than `jump`. Fewer than four show nothing. The same rule is in
+  !> `postproc/reading/points.py`.
   real(dp), parameter :: chance = 1.0e-4_dp, jump = 0.3_dp
 
 contains
@@ -94,7 +95,7 @@ contains
     chi = place_of('chi', real_quantities())
     do p = 1, size(yes)
       values = pack(results%average(:, p, chi), results%task_status(:, p) == task_complete)
-      if (size(values) <= 2) cycle
+      if (size(values) <= 3) cycle
       fraction = fraction_within(values)
       yes(p) = yes(p) .or. (fraction < within .and. fraction**(0.5_dp*size(values) - 1.0_dp) &
         < chance .and. maxval(values) - minval(values) > jump)

@@ -98,8 +98,8 @@ contains
     type(results_type), intent(in) :: results
     logical :: complete(plan%replicas, plan%point_count)
     integer, allocatable :: shown(:)
-    !> Whether a task lacks the error of each quantity shown.
-    logical, allocatable :: lacks(:)
+    !> Whether a task lacks the error of each quantity shown; whether a point is in two states.
+    logical, allocatable :: lacks(:), two_states(:)
     character(len=:), allocatable :: text
     integer :: p, r
 
@@ -119,9 +119,10 @@ contains
     if (plan%point_count <= most_rows .and. any(count(complete, dim=1) > 1)) then
       if (any(shown == polarised_current)) shown = pack(shown, shown <= polarised_current)
       call print_line(table_head('  replicas', shown)//'    (errors over replicas)')
+      two_states = in_two_states(results)
       do p = 1, plan%point_count
         if (count(complete(:, p)) > 1) call print_line(row_text(plan, results, p, &
-          count(complete(:, p)), means_text(results, p, shown)))
+          count(complete(:, p)), means_text(results, p, shown, two_states(p))))
       end do
     end if
     if (task_count(plan) > most_rows .or. .not. any(lacks)) return
@@ -243,25 +244,25 @@ contains
 
   !> Text for the means over the complete replicas of a point, with errors from their scatter; where
   !> replicas fall into two states, for chi in both, in place of a mean that no replica has.
-  function means_text(results, p, shown) result(text)
+  function means_text(results, p, shown, two_states) result(text)
     type(results_type), intent(in) :: results
     integer, intent(in) :: p
     !> Places in `names`.
     integer, intent(in) :: shown(:)
+    !> Whether they fall into two states.
+    logical, intent(in) :: two_states
     character(len=:), allocatable :: text
     !> Values of all that has a name, by replica.
     real(dp), allocatable :: values(:, :), group(:)
-    logical :: two_states(size(results%point))
     real(dp) :: mean, cut
     integer :: k
 
     text = ''
-    two_states = in_two_states(results)
     associate (status => results%task_status(:, p))
       values = results%average(pack([(k, k=1, size(status))], status == task_complete), p, &
         places([(k, k=1, size(names))]))
     end associate
-    if (two_states(p)) then
+    if (two_states) then
       cut = cut_between_groups(values(:, chi))
       text = '   two states:'
       do k = 1, 2
