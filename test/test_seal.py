@@ -285,9 +285,34 @@ def no_status(path: Path) -> None:
         file.attrs["status"] = "partial"
 
 
+def made_again(path: Path) -> None:
+    """Replace a dataset by one with the same numbers, but without its dimension scales."""
+    with h5py.File(path, "r+") as file:
+        values = file["chi"][()]
+        del file["chi"]
+        file["chi"] = values
+
+
+def rounded(path: Path) -> None:
+    """Replace the numbers of a dataset by those of half the length."""
+    with h5py.File(path, "r+") as file:
+        values = file["chi"][()]
+        del file["chi"]
+        file["chi"] = values.astype("f4")
+
+
+def another_threshold(path: Path) -> None:
+    """Change a parameter of a point."""
+    with h5py.File(path, "r+") as file:
+        file["threshold"][0] += 1
+
+
 @pytest.mark.parametrize(
     ("change", "code", "said"),
     [
+        (made_again, 2, "/chi has lost its dimension scales"),
+        (rounded, 2, "/chi has numbers of another type"),
+        (another_threshold, 2, "/threshold has other values than those of the namelist"),
         (undone, 2, "/task_status"),
         (no_status, 2, "/task_status"),
         (linked, 2, "/chi is a link out of its place"),

@@ -41,7 +41,7 @@ class Lifetimes:
         such state.
     barrier : chi of the unstable state between them, NaN without one.
     polarised_share : probability of the stationary chain to be beyond the barrier; for urns that
-        relax slowly, from the two lifetimes.
+        relax slowly, from the two lifetimes, and NaN if both are infinite.
     """
 
     homogeneous: float
@@ -148,7 +148,7 @@ def lifetimes(circuit: Circuit, theory: Theory = WELL_MIXED) -> Lifetimes:
     far = int(np.clip(round(polarised[-1].urn2_number) - offset, wall + 1, last))
     passage, weights = passages(circuit, theory)
     times = (passage(0, wall) if homogeneous else 0.0, passage(far, wall))
-    share = times[1] / sum(times)
+    share = 1.0 / (1.0 + times[0] / times[1])
     if weights is not None:
         share = min(1.0, float(weights[wall:].sum()))
     return Lifetimes(*times, 2.0 * barrier / number - 1.0, share)

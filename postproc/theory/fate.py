@@ -24,7 +24,7 @@ the given distribution of stays and the cosine law; for the latter <q> is that o
 
 from __future__ import annotations
 
-from functools import cache, lru_cache
+from functools import cache
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -33,7 +33,7 @@ from scipy import linalg, optimize, special
 from postproc.theory.renewal import RENEWAL
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
+    from numpy.typing import ArrayLike, NDArray
 
     Floats = NDArray[np.float64]
     Integers = NDArray[np.intp]
@@ -46,6 +46,7 @@ STEEPEST = 60.0  # power of S
 SMALL = 1e-200
 HUGE = 1e300  # chance over that of T inside, from which the latter is 0
 LEAST = 1e-300  # chance of which the logarithm is taken for that of 0
+LEAST_MEAN, AT_ONCE = 1e-30, 8  # of new ones; steps whose factors are multiplied before a logarithm
 
 
 def cosine_law(half_length: float, count: int = ANGLES) -> tuple[Floats, Floats]:
@@ -134,43 +135,34 @@ def _lasting(stays: Floats, shares: Floats, time: Floats) -> tuple[Floats, Float
     return staying, np.minimum(time[:, None], stays) @ shares
 
 
-def _poisson(count: Floats, mean: Floats) -> Floats:
-    """Return the probability of a Poisson number of that mean; 0 for counts below 0."""
-    at = np.maximum(count, 0)
-    chance = np.exp(special.xlogy(at, mean) - mean - special.gammaln(at + 1.0))
-    return np.where(count >= 0, chance, 0.0)
+def _meeting(
+    weights: ArrayLike, survive: Floats, last: Floats | float, mean: Floats, level: int
+) -> Floats:
+    """Return the chance that as many are inside as `level`, shape (case,).
 
+    These are k others, with the probabilities `weights` of k = 0, 1, ... and each there with the
+    probability p = `survive`; one more, with the probability `last`; and new ones, a Poisson number
+    of the mean m = `mean`. Without the one more, the chance c_k for one k is up to a factor a
+    Charlier polynomial of degree k, so that
 
-def _meeting(others: int, survive: Floats, last: Floats, poisson: Floats, level: int) -> Floats:
-    """Return P(binomial(others, survive) + Bernoulli(last) + new ones = level).
+        c_(k+1)/c_k = 1 - p + p b_k/m        b_k = level - k + k (1 - p) c_(k-1)/c_k,
 
-    Summed over the number of the others that are left. `survive` and `last` have the shape (case,);
-    `poisson` has the chances of 0 ... `level` new ones, shape (number, case).
+    c_0 that of the Poisson number; with it, `level` - 1 others and new ones have c_k b_k/m. Up to
+    k = `level` no term is negative.
     """
-    left = min(others, level) + 1
-    chance = _binomial(others, left, survive)
-    found = (1.0 - last) * _paired(chance, poisson[level::-1][:left])
-    return found + last * _paired(chance[:level], poisson[:level][::-1][:left])
-
-
-def _paired(one: Floats, other: Floats) -> Floats:
-    return np.einsum("kc,kc->c", one, other)
-
-
-def _binomial(others: int, count: int, survive: Floats) -> Floats:
-    """Return the chances that 0 ... `count` - 1 of the others are left, shape (number, case)."""
-    k = np.arange(count)[:, None]
-    stay, leave = (np.log(np.maximum(one, LEAST)) for one in (survive, 1.0 - survive))
-    chance = k * (stay - leave)
-    chance += others * leave + _log_binomials(others)[:count, None]
-    return np.exp(chance, out=chance)
-
-
-@lru_cache(maxsize=256)
-def _log_binomials(others: int) -> Floats:
-    """Return the logarithms of the binomial coefficients of 0 ... `others`."""
-    k = np.arange(others + 1.0)
-    return special.gammaln(others + 1.0) - special.gammaln(k + 1.0) - special.gammaln(k[::-1] + 1.0)
+    mean, leave = np.maximum(mean, LEAST_MEAN), 1.0 - survive
+    log = special.xlogy(level, mean) - mean - special.gammaln(level + 1.0)
+    chance, grown, fewer = np.zeros(mean.size), np.ones(mean.size), level / mean
+    for k, weight in enumerate(np.asarray(weights)):
+        if k > 0:
+            ratio = leave + survive * fewer
+            grown = grown * ratio
+            fewer = (level - k + k * leave / ratio) / mean
+        if weight > 0.0 or k % AT_ONCE == 0:
+            log, grown = log + np.log(np.maximum(grown, LEAST)), np.ones(mean.size)
+        if weight > 0.0:
+            chance += weight * np.exp(log) * (1.0 - last + last * fewer)
+    return chance
 
 
 @cache
@@ -200,16 +192,21 @@ def _thrown_out(threshold: int, rate: float, stays: Floats, shares: Floats) -> f
     step = time[1]
     staying, filled = _lasting(stays, shares, time)
     _, longer = _lasting(stays, shares, np.concatenate([time, time[1:] + time[-1]]))
-    meet = rate * _poisson(np.float64(threshold), rate * filled)
-    meet[0] = 0.0
+    meet = rate * _meeting([1.0], staying, 0.0, rate * filled, threshold)
     row, column, since = _pairs()
     survive = (longer[row] - filled[since]) / filled[column]
-    poisson = _poisson(np.arange(threshold + 1)[:, None], rate * filled)
     again = np.zeros((STEPS + 1, STEPS + 1))
-    again[row, column] = step * rate * _meeting(
-        threshold, np.clip(survive, 0.0, 1.0), staying[since], poisson.take(since, axis=1),
-        threshold,
-    )  # fmt: skip
+    again[row, column] = (
+        step
+        * rate
+        * _meeting(
+            np.eye(threshold + 1)[-1],
+            np.clip(survive, 0.0, 1.0),
+            staying[since],
+            rate * filled[since],
+            threshold,
+        )
+    )
     first = _first(meet, again)
     alive = 1.0 - step * (np.cumsum(first) - 0.5 * first)
     over = np.flatnonzero(alive <= 1e-4)
@@ -234,12 +231,8 @@ def _undisturbed(threshold: int, rate: float, stays: Floats, shares: Floats, ful
     residual, level = 1.0 - filled / mean_stay, threshold - 1
     found = _found(threshold, rate * mean_stay, full)[:threshold]
     found = found / found.sum()
-    poisson = _poisson(np.arange(threshold)[:, None], rate * filled)
-    others = np.zeros(poisson.shape)
-    for k, weight in enumerate(found):
-        others[: k + 1] += weight * _binomial(k, k + 1, residual)
-    meet = rate * _paired(others, poisson[::-1])
-    again = rate * _meeting(level, residual, staying, poisson, level)
+    meet = rate * _meeting(found, residual, 0.0, rate * filled, level)
+    again = rate * _meeting(np.eye(threshold)[-1], residual, staying, rate * filled, level)
     first = _first(meet, linalg.toeplitz(step * again * (time > 0.0), np.zeros(time.size)))
     gone = step * (np.cumsum(first) - 0.5 * (first + first[0]))
     alone = np.maximum(1.0 - gone, 1e-12)

@@ -17,12 +17,12 @@ module battery_merge
     write_text_attribute, no_handle
   use battery_identity, only: task_id_with
   use battery_journal, only: journal_type, rank_file, rank_files_of
-  use battery_plan, only: plan_type, point_of, setup_of
+  use battery_plan, only: plan_type, setup_of
   use battery_precision, only: decide_replicas
   use battery_provenance, only: attribute_type, build_attributes
   use battery_quantities, only: integer_quantities, place_of, unknown_real, unknown_count
   use battery_record_file, only: record_reader_type, open_records, close_records
-  use battery_results, only: results_type, new_results, task_complete, task_failed, &
+  use battery_results, only: results_type, new_results, set_points, task_complete, task_failed, &
     task_not_asked, point_undecided, all_tasks_complete
   use battery_results_file, only: results_file_type, write_results, &
     publish_results, read_results, close_results, prepare_outputs, serialize_slabs, ended_early, &
@@ -101,13 +101,12 @@ contains
     type(setup_type) :: setup
     integer :: p, r
 
+    call set_points(results, plan)
     do p = 1, plan%point_count
       do r = 1, plan%replicas
         setup = setup_of(plan, p, r)
         results%seed(r, p) = setup%seed
       end do
-      results%point(p) = point_of(plan, p)
-      results%point(p)%urn_radius = setup%table%urn%radius
       r = results%replicas_needed(p) + 1
       if (r > plan%replicas) cycle
       ! An earlier run may have needed more replicas than a point needs whose number is decided.

@@ -358,6 +358,9 @@ contains
     call close_results(file)
     if (.not. allocated(error)) call move_alloc(damage, error)
     if (allocated(error)) then
+      ! What is advised behind the reason is about a results file.
+      if (index(error%message, '; ') > 0) error%message = error%message(:index(error%message, &
+        '; ') - 1)
       error%message = partial%file//': is not a partial file of this input, and is not ' &
         //'replaced; move it away ('//error%message//')'
       error%code = exit_bad_input

@@ -90,7 +90,11 @@ contains
       else
         call add_finding(problems, finding_of(reader%line, 'text outside of any group: ' &
           //rest_of_line(reader)//'; a group begins with &name and ends with /'))
-        call skip_line(reader)
+        ! All up to the next group is one problem.
+        do while (.not. (at_end(reader) .or. next_sign(reader) == '&'))
+          call skip_line(reader)
+          call skip_blanks(reader, .false.)
+        end do
       end if
     end do
   end subroutine read_next

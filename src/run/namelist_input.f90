@@ -302,7 +302,9 @@ contains
       if (plan%of_points%more) text = text//'; the first of them:'
       call add_finding(plan%settings%problems, finding_of(0, text))
     end if
-    do at = 1, size(plan%problems)
+    ! In a text without a key of the program it is not the keys that are missing.
+    do at = 1, merge(0, size(plan%problems), plan%settings%problems%count > 0 .and. .not. any( &
+      plan%settings%all%given))
       call add_problem(plan, plan%problems(at))
     end do
     if (plan%settings%problems%count > 0) call fatal_error(error, &

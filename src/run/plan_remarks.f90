@@ -6,6 +6,7 @@ module battery_plan_remarks
   use battery_kinds, only: wp, dp
   use battery_findings, only: findings_type, finding_type, finding_of, add_finding, of_remark
   use battery_plan, only: plan_type, point_type, point_of, points_text, is_scanned
+  use battery_settings, only: find_setting
   use battery_table, only: channel2
   use battery_text, only: string_type, to_text, join
   implicit none (type, external)
@@ -57,12 +58,24 @@ contains
     do at = 1, 2
       radii(at)%text = to_text(plan%base%of(key_radius)%real(at))
     end do
-    if (plan%shape /= 'urn' .and. radii(1)%text /= radii(2)%text .and. .not. (is_scanned(plan, &
-      'urn_radius') .or. is_scanned(plan, 'urn_radius2'))) call add_finding(remarks, finding_of(0, &
-      'urn_radius = '//join(radii, ', ')//' are two radii: '//radii(1)%text//' of urn 1, ' &
-      //radii(2)%text//' of urn 2'))
+    if (may_be_one()) call add_finding(remarks, finding_of(0, 'urn_radius = '//join(radii, ', ') &
+      //' are two radii: '//radii(1)%text//' of urn 1, '//radii(2)%text//' of urn 2'))
     young = current_remark(plan, seconds)
     if (young /= '') call add_finding(remarks, finding_of(0, young))
+
+  contains
+
+    !> Whether two radii may be meant as one: they differ, or both are whole numbers, as 1,1.
+    logical function may_be_one() result(yes)
+
+      yes = plan%shape /= 'urn' .and. .not. (is_scanned(plan, 'urn_radius') .or. is_scanned(plan, &
+        'urn_radius2'))
+      associate (given => plan%settings%all(find_setting(plan%settings, 'urn_radius'))%reals)
+        if (yes) yes = size(given) == 2 .and. (radii(1)%text /= radii(2)%text .or. &
+          all(abs(given - anint(given)) <= 0.0_wp))
+      end associate
+    end function may_be_one
+
   end function remarks_of
 
   !> The first disc that reaches from wall to wall of channel 2; 0: none. Discs do not touch each

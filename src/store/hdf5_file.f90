@@ -24,9 +24,10 @@ module battery_hdf5_file
     h5pset_fapl_core_f, h5idec_ref_f, h5lexists_f, h5kind_to_type, h5acreate_by_name_f, &
     h5aopen_by_name_f, h5awrite_f, h5aread_f, h5aget_type_f, h5aget_space_f, h5tcopy_f, &
     h5tget_size_f, h5tset_cset_f, h5tis_variable_str_f, h5dvlen_reclaim_f, h5dcreate_f, h5dopen_f, &
-    h5dread_f, h5dwrite_f, h5dget_space_f, h5dget_create_plist_f, h5screate_simple_f, &
-    h5sget_simple_extent_dims_f, h5sget_simple_extent_ndims_f, h5sget_simple_extent_npoints_f, &
-    h5sselect_hyperslab_f, h5pset_chunk_f, h5pset_shuffle_f, h5pset_deflate_f, &
+    h5dread_f, h5dwrite_f, h5dget_space_f, h5dget_type_f, h5tget_class_f, &
+    h5dget_create_plist_f, h5screate_simple_f, h5sget_simple_extent_dims_f, &
+    h5sget_simple_extent_ndims_f, h5sget_simple_extent_npoints_f, h5sselect_hyperslab_f, &
+    h5pset_chunk_f, h5pset_shuffle_f, h5pset_deflate_f, &
     h5pset_fill_value_f, h5pget_layout_f, h5pget_external_count_f, h5zfilter_avail_f
   use hdf5, only: h5f_acc_trunc_f, h5f_acc_rdonly_f, h5f_close_strong_f, h5f_scope_global_f, &
     h5p_default_f, h5p_file_access_f, h5p_dataset_create_f, h5s_all_f, h5s_select_set_f, &
@@ -136,6 +137,13 @@ module battery_hdf5_file
       integer(c_int64_t), value, intent(in) :: dataset, scale
       integer(c_int), value, intent(in) :: dimension
     end function attach_scale
+
+    integer(c_int) function scale_count(dataset, dimension) bind(c, name='H5DSget_num_scales')
+      import :: c_int, c_int64_t
+      implicit none (type, external)
+      integer(c_int64_t), value, intent(in) :: dataset
+      integer(c_int), value, intent(in) :: dimension
+    end function scale_count
   end interface
 
 contains
@@ -287,9 +295,9 @@ contains
   end subroutine check_links
 
   !> Makes a group in a file; it must not exist yet, and its parent must. Does nothing after an
-  !> error.
+  !> error, or to a file that is read.
   subroutine make_group(file, path, error)
-    !> File, open for writing.
+    !> File, open.
     class(hdf5_file_type), intent(in) :: file
     !> Path of the group in the file, from the root.
     character(len=*), intent(in) :: path
@@ -297,7 +305,7 @@ contains
     integer(hid_t) :: group
     integer :: status
 
-    if (allocated(error)) return
+    if (allocated(error) .or. .not. file%is_new) return
     group = no_handle
     call h5gcreate_f(file%id, path, group, status)
     call release_handle(group, status)
@@ -435,18 +443,34 @@ contains
     call serialize_whole(file, path, array_view_of(values), units, long_name, error, scales)
   end subroutine serialize_dataset
 
-  !> As `serialize_dataset`, for values that are only written; without dimension scales, the dataset
-  !> is one.
+  !> As `serialize_dataset`, for values that are known: those in a file that is read must be the
+  !> same. Without dimension scales, the dataset is one.
   subroutine write_dataset(file, path, values, units, long_name, error, scales)
-    !> New file.
+    !> File, open.
     class(hdf5_file_type), intent(in) :: file
     !> As above.
     character(len=*), intent(in) :: path, units, long_name
     type(*), intent(in), target, contiguous :: values(..)
     type(error_type), allocatable, intent(inout) :: error
     character(len=*), intent(in), optional :: scales(:)
+    integer(int8), allocatable, target :: found(:)
+    integer(int8), pointer, contiguous :: known(:)
+    type(array_view_type) :: memory
+    integer(size_t) :: bytes
+    integer :: status
 
-    call serialize_whole(file, path, array_view_of(values), units, long_name, error, scales)
+    memory = array_view_of(values)
+    call h5tget_size_f(memory%value_type, bytes, status)
+    bytes = bytes*product(memory%extents)
+    call c_f_pointer(memory%address, known, [bytes])
+    if (.not. file%is_new) then
+      found = known
+      memory%address = c_loc(found)
+    end if
+    call serialize_whole(file, path, memory, units, long_name, error, scales)
+    if (file%is_new .or. allocated(error)) return
+    call check_status(file, path, 'has other values than those of the namelist in the file', &
+      count(found /= known), error)
   end subroutine write_dataset
 
   !> Makes a dimension scale without coordinates, marked as in netCDF; it has no data, and occupies
@@ -658,6 +682,9 @@ contains
       if (.not. allocated(error) .and. any(extents /= memory%extents)) call check_status(file, &
         path, 'has the dimensions '//extents_text(extents)//'; by the namelist in the file they ' &
         //'are '//extents_text(memory%extents), 1, error)
+      k = 0
+      if (present(scales)) k = size(scales)
+      if (.not. allocated(error)) call check_like_new(file, dataset, memory%value_type, k, error)
       return
     end if
     dataset%path = path
@@ -687,6 +714,32 @@ contains
     call write_text_attribute(file, path, 'units', units, error)
     call write_text_attribute(file, path, 'long_name', long_name, error)
   end subroutine open_or_make
+
+  !> An error unless a dataset of a file that is read has the type of a new one, and a dimension
+  !> scale for each of its first `scales` dimensions.
+  subroutine check_like_new(file, dataset, value_type, scales, error)
+    class(hdf5_file_type), intent(in) :: file
+    type(dataset_type), intent(in) :: dataset
+    integer(hid_t), intent(in) :: value_type
+    integer, intent(in) :: scales
+    type(error_type), allocatable, intent(out) :: error
+    integer(hid_t) :: types(2)
+    integer(size_t) :: bytes(2)
+    integer :: class(2), status, k
+
+    types(1) = value_type
+    call h5dget_type_f(dataset%id, types(2), status)
+    do k = 1, 2
+      if (status == 0) call h5tget_class_f(types(k), class(k), status)
+      if (status == 0) call h5tget_size_f(types(k), bytes(k), status)
+    end do
+    if (status == 0) status = merge(0, 1, class(1) == class(2) .and. bytes(1) == bytes(2))
+    call check_status(file, dataset%path, 'has numbers of another type', status, error)
+    call release_handle(types(2), status)
+    if (allocated(error)) return
+    status = count([(scale_count(dataset%id, int(k - 1, c_int)), k=1, scales)] /= 1)
+    call check_status(file, dataset%path, 'has lost its dimension scales', status, error)
+  end subroutine check_like_new
 
   !> Makes the layout of a dataset: contiguous, or, if it is large, compressed chunks.
   subroutine new_layout(memory, layout, status)

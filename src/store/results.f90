@@ -5,12 +5,13 @@
 module battery_results
   use battery_kinds, only: dp, int32, int64
   use battery_blocks, only: error_of_mean
-  use battery_plan, only: point_type
+  use battery_plan, only: plan_type, point_type, point_of, table_of
+  use battery_table, only: table_type
   use battery_text, only: string_type
   use battery_quantities, only: real_quantities, integer_quantities, unknown_real, unknown_count
   implicit none (type, external)
   private
-  public :: results_type, new_results, scatter_of
+  public :: results_type, new_results, set_points, scatter_of
   public :: task_complete, task_failed, task_not_done, task_not_asked, all_tasks_complete
   public :: point_precise, point_not_precise, point_two_states, point_undecided
 
@@ -63,6 +64,20 @@ contains
     results%error = results%average
     allocate (results%counted(replicas, points, size(integer_quantities())), source=unknown_count)
   end subroutine new_results
+
+  !> Sets the points of the scan, with the radii of the table, which are those of polygons too.
+  subroutine set_points(results, plan)
+    type(results_type), intent(inout) :: results
+    type(plan_type), intent(in) :: plan
+    type(table_type) :: table
+    integer :: p
+
+    do p = 1, plan%point_count
+      results%point(p) = point_of(plan, p)
+      table = table_of(plan, results%point(p))
+      results%point(p)%urn_radius = table%urn%radius
+    end do
+  end subroutine set_points
 
   !> Whether all tasks are complete, except those that a precision does not need.
   pure logical function all_tasks_complete(results) result(yes)

@@ -32,9 +32,9 @@ module battery_results_file
   use battery_plan, only: plan_type, point_type, point_of, setup_of
   use battery_quantities, only: quantity_type, real_quantities, integer_quantities, place_of, &
     flow_names, unknown_count, unknown_real
-  use battery_results, only: results_type, new_results, scatter_of, all_tasks_complete, &
-    task_complete, task_failed, task_not_done, task_not_asked, point_precise, point_not_precise, &
-    point_two_states, point_undecided
+  use battery_results, only: results_type, new_results, set_points, scatter_of, &
+    all_tasks_complete, task_complete, task_failed, task_not_done, task_not_asked, &
+    point_precise, point_not_precise, point_two_states, point_undecided
   use battery_setup, only: setup_type
   use battery_text, only: lines_of, to_text
   implicit none (type, external)
@@ -156,9 +156,9 @@ contains
     end if
   end subroutine publish_results
 
-  !> Gives a results file that lacks a footer a new one, if all in it can be read, its structure and
-  !> its seeds are those that follow from its namelist, and it says of its tasks what it has of
-  !> them. A copy with a footer replaces it.
+  !> Gives a results file that lacks a footer a new one, if all in it can be read, its structure,
+  !> its parameters and its seeds are those that follow from its namelist, and it says of its tasks
+  !> what it has of them. A copy with a footer replaces it.
   subroutine accept_results(name, file, results, error)
     !> Path of the file.
     character(len=*), intent(in) :: name
@@ -181,14 +181,17 @@ contains
         if (status(task) == task_complete) call serialize_slabs(file, task, output, error)
       end do
     end associate
+    call set_points(results, file%plan)
+    call write_scan(file, error)
+    call write_points(file, results, error)
     call close_results(file)
     file%name = name//'.part'
     if (.not. allocated(error)) call copy_with_footer(name, file%name, error)
     call publish_results(name, file, error)
   end subroutine accept_results
 
-  !> Writes the grid of the scan: its keys in the attribute `scan` of the root, the slowest first,
-  !> and the values of each key in the group `scan`.
+  !> Writes the grid of the scan, or compares it: its keys in the attribute `scan` of the root, the
+  !> slowest first, and the values of each key in the group `scan`.
   subroutine write_scan(file, error)
     type(results_file_type), intent(in) :: file
     type(error_type), allocatable, intent(inout) :: error
@@ -353,7 +356,7 @@ contains
     if (allocated(error)) error%code = exit_bad_input
   end subroutine check_memory_of
 
-  !> Writes the dimension scales, and the parameters of the points.
+  !> Writes or compares the dimension scales, and the parameters of the points.
   subroutine write_points(file, results, error)
     class(hdf5_file_type), intent(in) :: file
     type(results_type), intent(in) :: results
@@ -524,7 +527,7 @@ contains
     scales(2:) = [character(len=19) :: '/snapshots/time', task_dimensions]
     do group = series, events
       if (merge(.not. has_events, length(group) == 0, group == events)) cycle
-      if (file%is_new) call write_group(file, file%plan, group, length(group), error)
+      call write_group(file, file%plan, group, length(group), error)
       extents = [length(group), size(file%plan%snapshot_times), file%plan%replicas, &
         file%plan%point_count]
       scales(1) = trim(group_path(group))//trim(first_dimension(group))
@@ -552,7 +555,7 @@ contains
       'enters_gate gate_reverses crosses_channel_1 crosses_channel_2', error)
   end subroutine prepare_outputs
 
-  !> Makes a group in a new file, with its dimension scales.
+  !> Makes a group in a new file, with its dimension scales, or compares these.
   subroutine write_group(file, plan, group, length, error)
     class(hdf5_file_type), intent(in) :: file
     type(plan_type), intent(in) :: plan
