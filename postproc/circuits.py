@@ -88,7 +88,7 @@ class Circuit:
         for one in fields(self):
             plain = plain_value(getattr(self, one.name))
             if isinstance(plain, list):
-                plain = tuple(np.ravel(plain).tolist())
+                plain = tuple(np.ravel(np.asarray(plain, object)).tolist())
             object.__setattr__(self, one.name, plain)
         if problems := self._problems():
             raise InputError("; ".join(problems))
@@ -296,11 +296,12 @@ class Circuit:
             for key, value, other in (
                 ("urn_radius", max(radii), max(first, second)),
                 ("channel1_length", first, second),
-                ("channel2_length", second or first, first),
+                ("channel2_length", second, first),
             ):
                 low, high = FINEST * max(min(radii), other), min(radii) / FINEST
-                fits = corners is not None or low <= value <= high
+                fits = corners is not None or value == 0.0 or low <= value <= high
                 rules.append((key, fits, f"from {low:.1e} to {high:.1e}"))
+        if all(good for _, good, _ in rules):
             for key, value, way, zero in (
                 ("channel1_width", self.channel1_width, 1.0, ""),
                 ("channel2_width", self.channel2_width, -1.0, "0, or "),

@@ -204,7 +204,7 @@ def replaced(path: Path) -> Iterator[Path]:
 
 def plain_value(value: Any) -> Any:  # noqa: ANN401 (of any type)
     """Return values of numpy, pandas or xarray as numbers or lists; others as they are."""
-    found = value.to_numpy() if hasattr(value, "dims") else value  # xarray has no `tolist`
+    found = value.to_numpy() if hasattr(value, "to_numpy") else value  # xarray has no `tolist`
     return found.tolist() if hasattr(found, "tolist") else found
 
 

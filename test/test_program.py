@@ -616,6 +616,20 @@ def test_a_run_and_who_goes_on_from_it_have_each_event_once(tmp_path: Path, engi
         assert first + second == events, repr(cut)
 
 
+@pytest.mark.parametrize("engine", ["excursion", "collision", "synchronous"])
+def test_places_and_counts_are_of_the_same_urn(tmp_path: Path, engine: str) -> None:
+    """A particle on the middle line, whose crossing is still to come, has a place in its half."""
+    (tmp_path / "start.txt").write_text("-0.25 0 1 0")
+    write(
+        tmp_path, gate={"threshold": 1}, particles={"number": 1, "initial_file": "'start.txt'"},
+        run={"engine": f"'{engine}'", "duration": 1, "transient_duration": 0},
+        output={"file": "'out.h5'", "series_interval": 0.25, "snapshot_times": 0.25},
+    )  # fmt: skip
+    assert run("--quiet", "case.nml", folder=tmp_path).returncode == 0
+    with h5py.File(tmp_path / "out.h5") as file:
+        assert file["series/urn1_number"][0, 0, 0] == (file["snapshots/x"][()] < 0).sum() == 1
+
+
 def test_variables_of_a_fortran_library_change_nothing(tmp_path: Path) -> None:
     """Some climate models want another order of bytes, and export that; a stopped run goes on."""
     odd = {

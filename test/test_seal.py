@@ -196,6 +196,11 @@ def test_a_file_that_lost_its_digest_is_left_alone_until_it_is_accepted(
         assert "--overwrite" not in ended.stderr
         assert ended.stderr.count("\n") == 1
         assert listing(tmp_path) == before
+    (tmp_path / "copy").mkdir()
+    for file in tmp_path.glob("*.*"):
+        shutil.copy(file, tmp_path / "copy")
+    assert run("--overwrite", "--quiet", "case.nml", folder=tmp_path / "copy").returncode == 0
+    shutil.rmtree(tmp_path / "copy")
     ended = run("--accept", "case.nml", folder=tmp_path, ranks=2)
     assert (ended.returncode, ended.stderr) == (0, "")
     assert "out.h5: accepted as it is" in ended.stdout

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 import math
-import re
 import tempfile
 from collections.abc import Mapping
 from contextlib import redirect_stdout
@@ -30,9 +29,6 @@ KNOWN = {
     "gate": ("threshold", "threshold_fraction"),
     "particles": ("number", "urn1_number", "urn1_fraction", "seed", "initial_file"),
 }  # fmt: skip
-
-# Added to a namelist without a length of its run: the program wants one, advice does not.
-RUN = b"\n&run collisions = 10000000000 /\n"
 
 
 def advise(
@@ -136,7 +132,7 @@ def _nearest(number: float) -> int:
 def _groups_of(namelist: str | Path | Groups) -> tuple[str, dict[str, Any]]:
     """Return the name of a namelist for messages, and its values by group and key.
 
-    The program says what is wrong with it. Advice needs no length of a run, which it does.
+    The program says what is wrong with it.
     """
     if isinstance(namelist, Mapping):
         name, content = "the namelist", write_namelist(None, namelist).encode()
@@ -145,8 +141,7 @@ def _groups_of(namelist: str | Path | Groups) -> tuple[str, dict[str, Any]]:
         name, content = str(path), path.read_bytes()
     with tempfile.TemporaryDirectory() as folder:
         copy = Path(folder, "namelist.nml")
-        has_run = re.search(rb"(?im)^[^!\n]*[&$]run\b", content)
-        copy.write_bytes(content if has_run else content + RUN)
+        copy.write_bytes(content)
         try:
             plan(copy, overwrite=True)
         except cli.InputError as problem:

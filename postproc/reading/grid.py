@@ -330,16 +330,17 @@ def selected(data: xr.Dataset, values: dict[str, float]) -> xr.Dataset:
     """Return the points with these values of keys; raise `InputError` if there are none."""
     for key, value in values.items():
         # Merged points that are no grid have values of their own.
-        axes = [str(one) for one in data["task"].dims]
-        dims = data[key].dims if key in data.variables else ()
-        if dims not in ((key,), ("point",)):
+        names = [*map(str, data["task"].dims), *PARAMETERS, *FRACTIONS.values()]
+        known = [one for one in names if one in data and data[one].dims in ((one,), ("point",))]
+        if key not in known:
             raise InputError(
-                f"there is no scanned key {key} to select by; there are {', '.join(axes)}"
+                f"there is no scanned key {key} to select by; there are {', '.join(known)}"
             )
+        dims = data[key].dims
         near = np.isclose(data[key], value, rtol=1e-9, atol=0.0)
         if not near.any():
-            known = ", ".join(f"{one:g}" for one in np.unique(data[key]))
-            raise InputError(f"no point has {key} = {value:g}; there are {known}")
+            there = ", ".join(f"{one:g}" for one in np.unique(data[key]))
+            raise InputError(f"no point has {key} = {value:g}; there are {there}")
         data = data.isel({dims[0]: np.flatnonzero(near) if dims == ("point",) else near.argmax()})
     return data
 

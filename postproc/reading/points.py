@@ -157,7 +157,7 @@ def _two_states(points: xr.Dataset) -> NDArray[np.bool_]:
     squares = np.nansum(away**2, axis=1)
     share = 1.0 - taken.max(axis=1) / np.where(squares > ROUNDING, squares, math.inf)
     unlikely = np.maximum(share, 0.0) ** (0.5 * count[:, 0] - 1.0) < CHANCE
-    apart = np.nanmax(away, axis=1, initial=0.0) - np.nanmin(away, axis=1, initial=0.0) > JUMP
+    apart = np.fmax.reduce(values, axis=1) - values[:, 0] > JUMP
     return known | ((count[:, 0] > 3) & (share < WITHIN) & unlikely & apart)
 
 

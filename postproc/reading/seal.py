@@ -54,7 +54,7 @@ def check_seal(path: Path, *, verify: bool = False, quiet: bool = False) -> None
         end = _end_in_hdf5(first)
         file.seek(max(size - LENGTH, 0))
         last, marked = file.read(), _has_mark(file, first)
-        if in_place := last.startswith(FIRST_LINE.encode()):
+        if in_place := size > LENGTH and last.startswith(FIRST_LINE.encode()):
             content = size - LENGTH
         else:  # it was cut off, in part or as a whole, or something is behind it
             content = end if marked and 0 < end <= size else size
@@ -87,8 +87,8 @@ def check_seal(path: Path, *, verify: bool = False, quiet: bool = False) -> None
 
 def _has_mark(file: BinaryIO, first: bytes) -> bool:
     """Return whether a file is HDF5 and has the mark; programs that write it anew may move it."""
-    if MARK in first or not first.startswith(b"\x89HDF"):
-        return MARK in first
+    if not first.startswith(b"\x89HDF") or MARK in first:
+        return first.startswith(b"\x89HDF")
     with mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as content:
         return content.find(MARK) >= 0
 

@@ -150,6 +150,9 @@ SQUARE = (1.0, -1.0, 1.0, 1.0, -1.0, 1.0, -1.0, -1.0)
         ({"urn_vertices": (*SQUARE[:2], *SQUARE)}, "allowed: sides that do not cross or touch"),
         ({"urn_vertices": HOOK, "channel1_length": 0.2}, "allowed: corners beside a channel"),
         ({"number": 10**400}, "allowed: a whole number from 1 to 2147483647"),
+        ({"urn_vertices": [[1, -1], [1, 1, 2]]}, "allowed: two numbers for each"),
+        ({"urn_vertices": (1, -60, 1 + 6e-11, 60, -1, 60, -1, -60)}, "below 0, an upright side"),
+        ({"number": xr.Dataset({"a": 1})}, "allowed: a whole number from 1"),
         ({"urn_vertices": 5}, "urn_vertices = 5; allowed: two numbers for each"),
         ({"urn_vertices": SQUARE, "urn_radius": 2.0}, "urn_radius = 2.0; allowed: only without"),
         ({"number": 1.5, "urn_sides": 5}, "urn_sides = 5; allowed: even numbers from 4 to 1000"),
@@ -159,6 +162,8 @@ def test_what_is_not_allowed_is_named_with_what_is(given: dict[str, Any], messag
     with pytest.raises(InputError, match="allowed: ") as refused:
         Circuit(**{"number": 1000, "threshold": 7, **given})
     assert message in str(refused.value)
+    with pytest.raises(InputError, match=r"\Aurn_radius[^;]*;[^;]*; channel1_length[^;]*;[^;]*\Z"):
+        Circuit(number=100, threshold=2, channel1_length=1e13, channel2_width=0)
     with pytest.raises(InputError, match="age = -1; allowed: one number from 0 up"):
         Circuit(number=1000, threshold=7).states(age=-1)
     with pytest.raises(InputError, match=r"thresholds = \[2, 1.5\]; allowed: whole numbers"):

@@ -179,6 +179,16 @@ def test_a_file_that_is_replaced_while_it_is_verified_is_whole(
     assert not another.exists()
 
 
+@pytest.mark.parametrize(
+    "content", [seal.FIRST_LINE.encode(), seal.seal_of(0, 64 * "0"), seal.MARK]
+)
+def test_a_piece_of_a_file_is_none_of_the_program(tmp_path: Path, content: bytes) -> None:
+    path = tmp_path / "piece.h5"
+    path.write_bytes(content)
+    with pytest.raises(InputError, match="not an HDF5 file"):
+        open_results(path)
+
+
 def test_a_file_that_was_copied_in_parts_is_one_line(ours: Path, tmp_path: Path) -> None:
     """HDF5 copies each dataset without the scales of its dimensions, which are others."""
     path = tmp_path / "parts.h5"

@@ -93,6 +93,9 @@ def test_files_of_unlike_discs_are_one_scan_and_keep_their_discs(
     for at, path in enumerate((files[1], files[2], files[0])):
         alone = postproc.open_results(path)
         np.testing.assert_array_equal(again.chi.sel(scatterer_count=at), alone.chi.squeeze())
+    more = results_of(tmp_path / "more.h5", scan={"threshold": 4}, **SMALL)
+    with pytest.raises(InputError, match="there are point, replica, threshold, channel2_w"):
+        selected(postproc.merge([*files[:3], more]), {"scatterers": 1.0})
     with pytest.raises(InputError, match="scatterers differ that are equally many"):
         postproc.merge(files[1:])
     assert call("plot", ["characteristic", *map(str, files[:3]), "--output", str(tmp_path)]) == 0
@@ -287,6 +290,7 @@ def in_two_states(folder: Path, into: Path) -> Path:
         ([0.963, 0.962, 0.960, 0.014], True),
         ([0.92, 0.03, 0.91, 0.05, 0.93, 0.90], True),
         ([0.963, 0.014, math.nan, math.nan], False),  # of two nothing is known
+        ([0.40, 0.40, 0.10, 0.40, 0.40, 0.40], True),  # their spread is 0.3, rounded
         ([0.750, 0.751, 0.760, 0.761], False),  # of one kind
         ([0.40, 0.55, 0.62, 0.85], False),  # one state that scatters, or decays
         ([0.30, 0.45, 0.50, 0.80, 0.84, 0.90], False),

@@ -95,7 +95,7 @@ def widest(outline: Outline, way: float) -> float:
     if side is None:
         return 0.0
     (x1, y1), (x2, y2) = outline[side], outline[(side + 1) % len(outline)]
-    if abs(x2 - x1) > UPRIGHT * np.abs(outline).max():
+    if abs(x2 - x1) > UPRIGHT * np.abs(np.transpose(outline)[0]).max():
         return 0.0
     return 2.0 * min(abs(y1), abs(y2))
 

@@ -171,8 +171,12 @@ int battery_put_in_place(const char *old, const char *new, const int64_t seen[5]
   if (status == 0) identify(&found, now);
   if (memcmp(now, nothing, sizeof now) != 0) {
     if (memcmp(now, seen, sizeof now) != 0) return -1;
-    /* Who may read it stays; some file systems have no such modes. */
-    (void)!chmod(old, found.st_mode & 0777);
+    /* Who may read it stays, but for a group that it cannot be given to; some file systems have no
+       such modes. */
+    mode_t mode = found.st_mode & 0777;
+    if (chown(old, found.st_uid, found.st_gid) != 0 && chown(old, (uid_t)-1, found.st_gid) != 0)
+      mode &= ~(mode_t)070;
+    (void)!chmod(old, mode);
 #ifdef RENAME_NOREPLACE
   } else {
     if (renameat2(AT_FDCWD, old, AT_FDCWD, new, RENAME_NOREPLACE) == 0) return 0;

@@ -171,8 +171,9 @@ contains
     integer(int64) :: bytes, at
     integer :: unit, status
 
-    yes = index(first, mark) > 0
-    if (yes .or. .not. is_results_file(first)) return
+    yes = is_results_file(first)
+    if (.not. yes .or. index(first, mark) > 0) return
+    yes = .false.
     open (newunit=unit, file=name, access='stream', form='unformatted', action='read', &
       status='old', iostat=status)
     if (status /= 0) return
@@ -255,7 +256,8 @@ contains
     if (status == 0 .and. bytes > footer_length) &
       read (unit, pos=bytes - footer_length + 1, iostat=status) last
     close (unit)
-    if (status == 0 .and. (may_be_results(first, bytes) .or. index(last, first_line) == 1)) return
+    if (status == 0 .and. (may_be_results(first, bytes) .or. index(last, first_line) == 1 .or. &
+      has_mark(name, first))) return
     call fatal_error(error, name//trim(merge(' is not a results file', ' cannot be read       ', &
       status == 0))//', and is not discarded'//leave_it, exit_bad_input)
   end subroutine check_discardable

@@ -252,7 +252,7 @@ contains
       depth = x_direction(urn)*x
       towards = -x_direction(urn)*ux
       if (is_counted) then
-        depth = min(max(depth, 0.0_wp), nearest(this%channel_start(channel1), -1.0_wp))
+        depth = min(max(depth, tiny(depth)), nearest(this%channel_start(channel1), -1.0_wp))
       else if (towards > 0.0_wp) then
         if (enters .and. abs(y) <= this%half_width(channel1)) &
           depth = max(depth, this%channel_start(channel1))
