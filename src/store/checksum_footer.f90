@@ -155,7 +155,7 @@ contains
         //'0.2.0: it has no digest at its end, which HDF5 cuts off when it opens a file for ' &
         //'writing; if the contents are still as they were, battery --accept FILE.nml takes them ' &
         //'as they are', exit_bad_input)
-    else if (may_be_results(first, bytes) .or. digest_in(footer) /= '') then
+    else if (may_be_results(name, first, bytes) .or. digest_in(footer) /= '') then
       call fatal_error(error, name//' is damaged: it has no digest at its end', exit_failure)
     else
       call fatal_error(error, name//' is not a results file of this program'//leave_it, &
@@ -163,7 +163,7 @@ contains
     end if
   end subroutine check_footer
 
-  !> Whether a file is HDF5 and has the mark. It is read on if its first bytes do not have it.
+  !> Whether a file has the mark. One of HDF5 is read on if its first bytes do not have it.
   logical function has_mark(name, first) result(yes)
     !> Path of the file; its first bytes.
     character(len=*), intent(in) :: name, first
@@ -171,9 +171,8 @@ contains
     integer(int64) :: bytes, at
     integer :: unit, status
 
-    yes = is_results_file(first)
-    if (.not. yes .or. index(first, mark) > 0) return
-    yes = .false.
+    yes = index(first, mark) > 0
+    if (yes .or. .not. is_results_file(first)) return
     open (newunit=unit, file=name, access='stream', form='unformatted', action='read', &
       status='old', iostat=status)
     if (status /= 0) return
@@ -256,22 +255,22 @@ contains
     if (status == 0 .and. bytes > footer_length) &
       read (unit, pos=bytes - footer_length + 1, iostat=status) last
     close (unit)
-    if (status == 0 .and. (may_be_results(first, bytes) .or. index(last, first_line) == 1 .or. &
-      has_mark(name, first))) return
+    if (status == 0 .and. (may_be_results(name, first, bytes) .or. index(last, first_line) == 1)) &
+      return
     call fatal_error(error, name//trim(merge(' is not a results file', ' cannot be read       ', &
       status == 0))//', and is not discarded'//leave_it, exit_bad_input)
   end subroutine check_discardable
 
   !> Whether a file without a footer may be what is left of a results file: an HDF5 file that is cut
   !> off or has the mark; it may begin with zeros, as a crash of the machine leaves it.
-  pure logical function may_be_results(first, bytes) result(yes)
-    !> First bytes of the file, or all; length of the file.
-    character(len=*), intent(in) :: first
+  logical function may_be_results(name, first, bytes) result(yes)
+    !> Path of the file; its first bytes, or all; its length.
+    character(len=*), intent(in) :: name, first
     integer(int64), intent(in) :: bytes
 
     yes = is_results_file(first) .or. verify(first(:min(block, len(first))), achar(0)) == 0
-    yes = yes .and. (index(first, mark) > 0 .or. len(first) < shortest .or. &
-      bytes < end_in_hdf5(first) .or. verify(first, achar(0)) == 0)
+    if (yes) yes = len(first) < shortest .or. bytes < end_in_hdf5(first) .or. &
+      verify(first, achar(0)) == 0 .or. has_mark(name, first)
   end function may_be_results
 
   !> Length of a file according to HDF5's superblock.
