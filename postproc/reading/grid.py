@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Iterable
 from functools import cache, partial
 from itertools import chain
@@ -206,7 +207,7 @@ def merge(parts: Iterable[str | Path | xr.Dataset]) -> xr.Dataset:
         replicas; `point_status` is two_states where a part says so, else that of the parts that
         decided, undecided where these differ. A run that is in two parts, by its seed, is in it
         once, complete if it is so in one. The attribute `differs` says what else differs: keys of
-        the namelists, versions of the program.
+        the namelists, versions of the program; of the length and the engine there is a warning.
 
     Raises
     ------
@@ -375,6 +376,8 @@ def _attributes(given: Sequence[dict[str, object]]) -> dict[str, object]:
             told[f"&{group} {key}"] = [one.get(group, {}).get(key) for one in groups]
     lines = [f"{name}: {', '.join(sorted({str(one) for one in values}))}"
              for name, values in told.items() if len({str(one) for one in values}) > 1]  # fmt: skip
+    if unlike := [line for line in lines if line.startswith(("engine: ", "&"))]:
+        warnings.warn(f"merge: the runs differ in {'; '.join(unlike)}", stacklevel=3)
     return {**same, "differs": "; ".join(lines)}
 
 
