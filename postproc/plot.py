@@ -231,8 +231,9 @@ def characteristic(
 ) -> list[Line2D]:
     """Draw U = ln(n2/n1) against the net current J over a scan, as of w', and the power J U.
 
-    n1 and n2 are the densities in the urns. The open circuit is where J = 0; beyond the largest
-    power the battery collapses at the transition.
+    n2 and n1 are the densities in the fuller and in the emptier urn, J is the polarised current.
+    The open circuit is where J = 0; beyond the largest power the battery collapses at the
+    transition: there J and U are those of fluctuations.
 
     Parameters
     ----------
@@ -241,7 +242,7 @@ def characteristic(
     ax
         Axes to draw into; None: the current ones of pyplot.
     theory
-        One or several names, whose voltage is drawn as a line.
+        One or several names, whose voltage is drawn, as a line or as marks at the points.
 
     Returns
     -------

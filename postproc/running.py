@@ -312,7 +312,9 @@ def _values(
         elif name in values:
             problems.append(f"&{group} {key} is given twice")
         elif plain is not None and not _can_be_written(plain):
-            problems.append(f"&{group} {key}: a namelist cannot hold {value!r}")
+            told = " ".join(repr(value).split())
+            problems.append(f"&{group} {key}: a namelist cannot hold {told}; allowed: a number, "
+                            "a text, a list of them")  # fmt: skip
         elif plain is not None:
             values[name] = plain
     return values

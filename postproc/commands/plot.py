@@ -51,6 +51,7 @@ from postproc.reading.points import (
     task_of,
     with_tasks,
 )
+from postproc.theory.models import left_out
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -124,13 +125,14 @@ def main(arguments: list[str] | None = None) -> int:
                              f"figure {given.name}")  # fmt: skip
     made = _drawn(name, points, given)
     hidden = int(points["two_states"].sum()) if name in OF_MEANS else 0
-    left_out = f"in two states, not shown: {hidden} of {points.sizes['point']} points"
-    notes = [remark(points), left_out if hidden else ""]
+    not_shown = f"in two states, not shown: {hidden} of {points.sizes['point']} points"
+    notes = [remark(points), not_shown if hidden else ""]
     if "models" in signature(FIGURES[name]).parameters:
         discs = any(one.scatterers for one in points["circuit"].values)
         notes.append("no theory has discs in channel 2" if discs else "")
     style.note(made.axes[0], "; ".join(filter(None, notes)))
-    say(points, *notes)
+    say(points, *notes, "" if given.theory or name not in OF_MEANS
+        else left_out(points["circuit"].values))  # fmt: skip
     if given.snapshot is not None:
         chosen["snapshot"] = given.snapshot
     told = [f"{key}={value:.15g}" for key, value in [*given.select, *chosen.items()]]

@@ -180,7 +180,7 @@ def draw_relaxation(
         told = ", ".join(known) or "none of the single urn"
         raise InputError(f"against time there is no {quantity!r}; there are {told}")
     label, quantity_of, steps, field, possible = QUANTITIES[quantity]
-    lines = []
+    lines, latest = [], 0.0
     circuits, starts = points["circuit"].values, starts_of(points)
     for at, (circuit, colour) in enumerate(zip(circuits, TIME_COLOURS, strict=False)):
         found, number = [], float(circuit.number)
@@ -189,6 +189,7 @@ def draw_relaxation(
             found.append(binned(time[time <= end], values[time <= end], steps)[:2])
         # Replicas of merged files may have other lengths and intervals.
         last = min(middle[-1] for middle, _ in found)
+        latest = max(latest, last)
         middle = min((middle[middle <= last] for middle, _ in found), key=len)
         band = np.array([np.interp(middle, *one) for one in found])
         mean, deviation = band.mean(axis=0), band.std(axis=0, ddof=min(len(band) - 1, 1))
@@ -212,7 +213,7 @@ def draw_relaxation(
         axes.set_ylim(-MARGIN, 1.0 + MARGIN)
     else:
         axes.axhline(0.0, color=style.GREY, lw=0.5)
-    axes.set_xlim(0.0, end if np.isfinite(end) else None)
+    axes.set_xlim(0.0, end if np.isfinite(end) else latest)
     axes.xaxis.set_major_locator(MaxNLocator(5))
     return lines
 
@@ -337,8 +338,9 @@ def figure_curves(points: xr.Dataset, models: Sequence[Model] = ()) -> Figure:
 def draw_characteristic(axes: Axes, points: xr.Dataset, models: Sequence[Model]) -> list[Line2D]:
     """Draw the voltage U = ln(n2/n1) of the urns' densities against the net current J over a scan.
 
-    On a second axis the power J U, full at its maximum. The densities follow from the means of chi,
-    which in the homogeneous state is the size of fluctuations. Return the lines of U and of J U.
+    n1 is the density of the emptier urn, J the current along the polarity. On a second axis the
+    power J U, full at its maximum. The densities follow from the means of chi; in the homogeneous
+    state chi and J are those of fluctuations. Return the lines of U and of J U.
     """
     alike(points)
     across = WIDTH if WIDTH in keys_of(points) else across_of(points)[0]
@@ -353,8 +355,8 @@ def draw_characteristic(axes: Axes, points: xr.Dataset, models: Sequence[Model])
     right = axes.twinx()
     axes.figure.sca(axes)  # those of what is drawn next, such as a legend
     power, look = current * voltage, {"color": style.ORANGE, "ms": 3.4, "lw": 0.7}
-    (line,) = right.plot(current, power, "s:", mfc="none", **look)
-    axes.plot([], [], "s:", mfc="none", label="$J U$, measured", **look)
+    (line,) = right.plot(current, power, "s", mfc="none", **look)
+    axes.plot([], [], "s", mfc="none", label="$J U$, measured", **look)
     if np.isfinite(power).any():
         best = int(np.nanargmax(power))
         where = equals(across, float(points[across][best]))
@@ -366,7 +368,8 @@ def draw_characteristic(axes: Axes, points: xr.Dataset, models: Sequence[Model])
             level = voltage_of(found["chi"], 0.0)[0]
             axes.plot(found["polarised_current"], level, color=style.BLUE,
                       label=f"$U$, theory, {model.label}", **look)  # fmt: skip
-    axes.set(xlabel="net current $J$ (per unit time)", ylabel=r"$U = \ln(n_2/n_1)$")
+    axes.set(xlabel="polarised current $J$ (per unit time)",
+             ylabel=r"$U = \ln(n_2/n_1)$, urn 2 the fuller")  # fmt: skip
     axes.set_ylim(bottom=0.0)
     right.set_ylabel("power $J U$", color=style.ORANGE)
     right.set_ylim(bottom=min(0.0, right.get_ylim()[0] * (power < 0.0).any()))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -106,7 +107,8 @@ def by_start(points: xr.Dataset) -> list[tuple[str, xr.Dataset]]:
 
 def transition_lines(points: xr.Dataset, models: Sequence[Model]) -> list[Line]:
     """Return (T/N, w', dashes, label) of the transition lines of theories that have one."""
-    circuit, last, lines = points["circuit"].values[0], int(points["threshold"].max()) + 1, []
+    circuit, lines = points["circuit"].values[0], []
+    last = math.ceil(edges(np.unique(points["threshold"].astype(float)))[-1])  # of the map
     for model in models:
         thresholds, widths = model.transition_line(circuit, 1, last)
         if np.isfinite(widths).any():

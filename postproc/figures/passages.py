@@ -189,11 +189,11 @@ def draw_lifetimes(
         beyond = _draw_chains(axes, of_chains, models, colour)
         said = [] if part else ["no runs"]
         if beyond:
-            which = "all chains" if len(beyond) == len(models) else ", ".join(beyond)
+            which = "chains" if len(beyond) == len(models) else ", ".join(beyond)
             said.append(f"{which} above $10^{{{math.log10(DRAWN[1]):.0f}}}$")
         if said:
             axes.text(0.03, 0.97 - 0.06 * row, f"{name}: {', '.join(said)}", va="top",
-                      transform=axes.transAxes, color=colour, fontsize=7)  # fmt: skip
+                      transform=axes.transAxes, color=colour, fontsize=6)  # fmt: skip
         if not part:
             continue
         left = [one for one in part if one.passages]

@@ -374,7 +374,7 @@ def _attributes(given: Sequence[dict[str, object]]) -> dict[str, object]:
     for group in ("run", "initial"):
         for key in sorted({key for one in groups for key in one.get(group, {})}):
             told[f"&{group} {key}"] = [one.get(group, {}).get(key) for one in groups]
-    lines = [f"{name}: {', '.join(sorted({str(one) for one in values}))}"
+    lines = [f"{name}: {', '.join(dict.fromkeys(map(str, values)))}"
              for name, values in told.items() if len({str(one) for one in values}) > 1]  # fmt: skip
     if unlike := [line for line in lines if line.startswith(("engine: ", "&"))]:
         warnings.warn(f"merge: the runs differ in {'; '.join(unlike)}", stacklevel=3)

@@ -46,8 +46,11 @@ from postproc.figures.style import CYCLE
 from postproc.reading.points import with_tasks
 from postproc.reporting import data
 from postproc.reporting.warn import explanations, warnings
+from postproc.theory.models import left_out
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable
+
     import xarray as xr
     from bokeh.model import Model as BokehModel
     from numpy.typing import NDArray
@@ -467,6 +470,12 @@ def _from_to(values: NDArray[np.generic]) -> str:
     return " to ".join(f"{one:.5g}" for one in np.unique([values.min(), values.max()]))
 
 
+def _theory(circuits: Iterable[Circuit], models: dict[str, Model]) -> str:
+    """Return how theories are shown, and what the default ones leave out."""
+    remark = "" if "direction" in models else left_out(circuits)
+    return KNOWN + (f" {remark.capitalize()}." if remark else "")
+
+
 def page(points: xr.Dataset, models: dict[str, Model]) -> str:
     """Return the whole page, with theories by name; without them if none applies to the table."""
     circuits = with_tasks(points)["circuit"].values
@@ -495,7 +504,7 @@ def page(points: xr.Dataset, models: dict[str, Model]) -> str:
             "warnings": warnings(points),
             "explanations": explanations(points),
             "lines": _lines(parts),
-            "theory": UNKNOWN if not models else "" if parts.urn else KNOWN,
+            "theory": UNKNOWN if not models else "" if parts.urn else _theory(circuits, models),
             "picture": _picture(circuits[0]),
             "panels": [one.name for one in panels],
             "choices": [one.name for one in choices],

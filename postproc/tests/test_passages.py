@@ -56,7 +56,7 @@ def test_at_one_number_of_particles_theories_are_seen_or_said_to_be_above(
     assert line.get_xdata() == [0, 1]  # from edge to edge
     assert line.get_ydata() == pytest.approx([life.of_chain(models[0])] * 2)
     (text,) = axes.texts
-    assert text.get_text() == "homogeneous: no runs, all chains above $10^{10}$"
+    assert text.get_text() == "homogeneous: no runs, chains above $10^{10}$"
     assert axes.get_xticks().tolist() == [500]
     low, high = (passages._short(one) for one in (life.low, life.high))
     assert f" {low} to {high} " in capsys.readouterr().out

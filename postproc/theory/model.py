@@ -258,7 +258,8 @@ class Model:
         """Return (T, w') along the line of transition, eq. (transition), from one T to another.
 
         w' is the least at which the homogeneous state becomes stable, NaN if there is none. It is
-        exact at integer T only: in between, the function that determines stability is interpolated.
+        exact at integer T; in between, where that is cheap, the function that determines stability
+        is interpolated.
         Beyond its last T the homogeneous state is stable without channel 2, so the line ends at w'
         = 0.
         """
@@ -285,7 +286,8 @@ class Model:
                  for at, width in zip(whole, rough, strict=True)]  # fmt: skip
         with np.errstate(invalid="ignore"):
             factors = np.where(rough > 0.0, exact / rough, 1.0)
-        return thresholds, line * np.interp(thresholds, whole, factors)
+        known = np.isin(thresholds, whole) | (line == 0.0)
+        return thresholds[known], (line * np.interp(thresholds, whole, factors))[known]
 
     def _zero_near(self, circuit: Circuit, width: float) -> float:
         """Return where the growth of a difference is 0, next to a first value of w'.

@@ -79,6 +79,14 @@ def defaults(circuits: Iterable[Circuit]) -> tuple[Model, ...]:
     return MODELS["window"], better
 
 
+def left_out(circuits: Iterable[Circuit]) -> str:
+    """Return a remark on the theory that `defaults` leaves out of many circuits, "" of few."""
+    asked = set(circuits)
+    if len(asked) <= FEW or any(map(MODELS["direction"].refusal, asked)):
+        return ""
+    return f"of more than {FEW} points direction is left out (--theory direction adds it)"
+
+
 def named(names: str | Iterable[str], circuits: Iterable[Circuit] = ()) -> tuple[Model, ...]:
     """Return theories by their names, one or several.
 

@@ -20,8 +20,10 @@ module battery_progress_line
     !> Time of the start and of the next line, and seconds between two lines.
     real(dp) :: began = 0.0_dp, next = 0.0_dp, interval = 0.0_dp
     logical :: line_open = .false.
-    !> Number of tasks of the ensemble.
+    !> Number of tasks of the ensemble, and the fraction that was printed last. As ranks begin other
+    !> tasks the estimate falls, which is not shown.
     integer :: tasks = 0
+    real(dp) :: done = 0.0_dp
   end type progress_line_type
 
   !> Seconds between two lines: on a terminal, in a log.
@@ -56,7 +58,7 @@ contains
     type(task_queue_type), intent(in) :: task_queue
     real(dp), intent(in) :: share
     integer :: finished, finished_before
-    real(dp) :: now, spent, left, done, done_before
+    real(dp) :: now, spent, left, done_before
     character(len=:), allocatable :: line
     character(len=160) :: buffer
 
@@ -66,15 +68,17 @@ contains
     finished_before = progress_line%tasks - task_queue%tasks
     finished = int(read_counter(task_queue, tasks_finished)) + finished_before
     done_before = real(finished_before, dp)/progress_line%tasks
-    done = min(1.0_dp, (finished + share*min(task_queue%communicator%size, progress_line%tasks &
-      - finished)) /progress_line%tasks)
+    progress_line%done = max(progress_line%done, min(1.0_dp, (finished + share*min( &
+      task_queue%communicator%size, progress_line%tasks - finished))/progress_line%tasks))
     spent = now - progress_line%began
     left = 0.0_dp
-    if (done > done_before) left = spent*(1.0_dp - done)/(done - done_before)
-    write (buffer, '(i0, a, i0, a, f5.1, a)') finished, ' of ', progress_line%tasks, ' tasks ', &
-      100.0_dp*done, ' %  '//rate_text(real(read_counter(task_queue, collisions_done), dp) &
-      /max(spent, 1.0e-9_dp))//' collisions/s  '//duration_text(left)//' left'
-    line = bar_of(done, screen_width - len_trim(buffer) - 2)//trim(buffer)
+    associate (done => progress_line%done)
+      if (done > done_before) left = spent*(1.0_dp - done)/(done - done_before)
+      write (buffer, '(i0, a, i0, a, f5.1, a)') finished, ' of ', progress_line%tasks, ' tasks ', &
+        100.0_dp*done, ' %  '//rate_text(real(read_counter(task_queue, collisions_done), dp) &
+        /max(spent, 1.0e-9_dp))//' collisions/s  '//duration_text(left)//' left'
+      line = bar_of(done, screen_width - len_trim(buffer) - 2)//trim(buffer)
+    end associate
     if (progress_line%terminal) then
       call print_text(achar(13)//line//repeat(' ', max(0, screen_width - len(line))))
       progress_line%line_open = .true.

@@ -130,7 +130,7 @@ contains
     if (plan%urn_sides > 0) then
       text = 'directions never relax in regular polygons'
     else if (lacks(1)) then
-      text = 'the run is too short'
+      text = 'the run is too short, or its slowest changes are by far its largest'
     else
       text = 'the gate of the emptier urn reversed, or the polarity changed, too rarely'
     end if

@@ -97,16 +97,18 @@ contains
     type(particles_type), intent(out) :: particles
     type(error_type), allocatable, intent(out) :: error
     type(findings_type) :: findings
-    character(len=:), allocatable :: problem, foreign
+    character(len=:), allocatable :: problem, before, foreign
     real(wp) :: state(4)
     integer(int64) :: first, line_start, last, next
-    integer :: line, count
+    integer :: line, count, wrong
 
     call allocate_particle_arrays(particles, number, error)
     if (allocated(error)) return
     next = text_start(text)
     line = 0
     count = 0
+    wrong = 0
+    before = ''
     foreign = ''
     do while (next <= len(text, int64))
       first = next
@@ -131,9 +133,11 @@ contains
       if (problem /= '') then
         foreign = foreign_byte_text(text(line_start:min(last, len(text, int64))))
         if (foreign /= '') problem = foreign
-        call add_finding(findings, finding_of(line, problem))
-        ! All lines may have such a byte.
+        ! All lines may have such a byte, or so many columns.
+        if (problem /= before) call add_finding(findings, finding_of(line, problem))
         if (foreign /= '') exit
+        before = problem
+        wrong = wrong + 1
       else if (count <= number) then
         state(3:) = state(3:)/hypot(state(3), state(4))
         particles%x(count) = state(1)
@@ -142,7 +146,8 @@ contains
         particles%uy(count) = state(4)
       end if
     end do
-    if (foreign == '' .and. count /= number) call add_finding(findings, finding_of(0, 'has ' &
+    ! A line that cannot be read need not be a particle.
+    if (foreign == '' .and. (count < number .or. count - wrong > number)) call add_finding(findings, finding_of(0, 'has ' &
       //to_text(count)//' particles', to_text(number)//', as &particles number says'))
     if (findings%count > 0) call fatal_error(error, findings_text(findings, name), exit_bad_input)
   end subroutine parse_particles

@@ -26,7 +26,8 @@ module battery_table
   private
   public :: table_type, urn_type, channel_type, new_table, shape_circuit, shape_urn
   public :: channel1, channel2, no_channel, outside, in_urn, in_gate, in_channel2
-  public :: urn_at, x_on_side, chamber_at, moves_along_arc, x_direction, is_open, are_mirror_images
+  public :: urn_at, x_on_side, enters_at_once, chamber_at, moves_along_arc, x_direction, is_open, &
+    are_mirror_images
   public :: passage_type, passage_at
   public :: area, perimeter, half_length, mean_urn_passage, shortest_excursion, try_random_point, &
     longest_run
@@ -263,6 +264,19 @@ contains
       kept = x_direction(urn)*depth
     end associate
   end function x_on_side
+
+  !> Whether a particle in an urn is next to the chord of its gate and moves over it: where
+  !> `before_crossing` has put one that is on the chord, and enters at the first instant.
+  elemental logical function enters_at_once(table, x, y, ux) result(yes)
+    type(table_type), intent(in) :: table
+    !> Position in the frame of the table, lengths; velocity along x.
+    real(wp), intent(in) :: x, y, ux
+
+    associate (urn => table%urn(urn_at(table, x)))
+      yes = x*ux < 0.0_wp .and. abs(x) > urn%channel_start(channel1) .and. nearest(abs(x), &
+        -1.0_wp) <= urn%channel_start(channel1) .and. abs(y) <= urn%half_width(channel1)
+    end associate
+  end function enters_at_once
 
   !> Chamber that contains the point (x, y); a point on a chord belongs to the channel. `tolerance`
   !> is the distance that a point may lie beyond a wall.

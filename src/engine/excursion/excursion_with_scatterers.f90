@@ -1,6 +1,6 @@
 !> Windows of the engine `excursion` on tables with discs in channel 2 (`battery_scatterer_visits`).
 submodule (battery_excursion) battery_excursion_with_scatterers
-  use battery_table, only: in_urn, in_gate, in_channel2, passage_type, passage_at
+  use battery_table, only: in_urn, in_gate, in_channel2, passage_type, passage_at, enters_at_once
   use battery_motion, only: motion_type
   use battery_scatterer_visits, only: visit_start_at, reserve_scatterer_visits, &
     add_scatterer_visit, compute_scatterer_visits, store_scatterer_flights
@@ -32,6 +32,11 @@ contains
               call begin_scatterer_visit(self, i, visit_start_at(0.0_wp, urn_index, in_channel2, &
                 urn%periodic_line - abs(x), y, urn%axis_sign*ux, uy), 0_int64)
             case default
+              if (enters_at_once(self%table, x, y, ux)) then
+                call make_initial_flight(self%table, i, x, y, ux, uy, .false., self%flight(i), &
+                  self%visits(1), self%computed_hits)
+                cycle
+              end if
               call begin_scatterer_visit(self, i, visit_start_at(0.0_wp, urn_index, in_urn, &
                 urn%centre - abs(x), y, urn%axis_sign*ux, uy), 0_int64)
             end select

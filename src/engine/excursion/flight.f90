@@ -11,7 +11,8 @@ module battery_flight
   use battery_kinds, only: wp, int16, int32, int64
   use battery_channel, only: fold_into_channel, facing
   use battery_memory, only: prefer_large_pages
-  use battery_table, only: table_type, passage_type, passage_at, channel1, channel2, no_channel
+  use battery_table, only: table_type, passage_type, passage_at, enters_at_once, channel1, &
+    channel2, no_channel
   use battery_urn, only: urn_type, locate_in_passage, find_first_impact, meets_corner
   use battery_visits, only: visits_type, truncated
   implicit none (type, external)
@@ -95,7 +96,15 @@ contains
     passage = passage_at(table, x, y, ux, uy)
     if (from_channels .eqv. passage%channel == no_channel) return
     if (from_channels) flight%urn = int(passage%urn, int16)
-    if (passage%trapped) then
+    if (enters_at_once(table, x, y, ux) .and. .not. from_channels) then
+      ! At the instant 0, whatever the rounding of a passage through the urn.
+      flight%urn = int(passage%urn, int16)
+      flight%next_event = to_gate
+      flight%y = y
+      flight%u_axial = abs(ux)
+      flight%u_lateral = uy
+      flight%through = table%channel(channel1)%length/abs(ux)
+    else if (passage%trapped) then
       flight%next_event = trapped_in_channel
       flight%y = y
       flight%u_axial = abs(ux)
@@ -107,7 +116,7 @@ contains
       flight%u_axial = abs(ux)
       flight%through = table%channel(passage%channel)%length/abs(ux)
       flight%u_lateral = passage%reflected*uy
-      if (passage%channel /= channel1) flight%due = flight%time + 0.5_wp*flight%through
+      if (passage%channel /= channel1) flight%due = max(0.0_wp, flight%time + 0.5_wp*flight%through)
       hits = hits - int(passage%hits, int64)
     else
       associate (urn => table%urn(passage%urn), at => visits%count + 1)

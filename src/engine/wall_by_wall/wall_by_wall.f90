@@ -6,7 +6,7 @@
 !> the order of the events within the instant, the decision is that of the rule in `battery_gate`.
 module battery_wall_by_wall
   use battery_kinds, only: wp, int64
-  use battery_table, only: channel1, channel2, in_gate, x_on_side
+  use battery_table, only: channel1, channel2, in_gate, x_on_side, enters_at_once
   use battery_motion, only: motion_type, meets_gate, meets_line, meets_channel_wall
   use battery_wall_motion, only: motion_at, find_first_wall, hit_wall, pass_line, reverse_motion, &
     heads_for_middle, time_to_middle, is_trapped
@@ -129,7 +129,8 @@ contains
   end subroutine advance_window
 
   !> Loads the particles. A particle that is in a gate at the start and heads for the other one is
-  !> counted, but only an entry can make a gate reverse.
+  !> counted, but only an entry can make a gate reverse. Where `before_crossing` has put a particle
+  !> before its line, it crosses that at the first instant.
   subroutine load_motions(self, particles)
     class(wall_by_wall_type), intent(inout) :: self
     type(particles_type), intent(inout) :: particles
@@ -141,6 +142,14 @@ contains
       motion = motion_at(self%table, particles%x(i), particles%y(i), particles%ux(i), &
         particles%uy(i))
       call find_first_wall(self%table, motion, wait)
+      if (enters_at_once(self%table, motion%x, motion%y, motion%ux)) then
+        motion%x = sign(self%table%urn(motion%urn)%channel_start(channel1), motion%x)
+        motion%next = meets_gate
+        wait = 0.0_wp
+      else if (motion%next == meets_line .and. abs(motion%x) <= tiny(wait)) then
+        motion%x = 0.0_wp
+        wait = 0.0_wp
+      end if
       self%difference = self%difference + merge(1, -1, motion%urn == 1)
       if (heads_for_middle(motion)) call enter_gate(self%gate(motion%urn), self%now &
         + time_to_middle(motion), i)
