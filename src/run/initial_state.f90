@@ -147,8 +147,9 @@ contains
       end if
     end do
     ! A line that cannot be read need not be a particle.
-    if (foreign == '' .and. (count < number .or. count - wrong > number)) call add_finding(findings, finding_of(0, 'has ' &
-      //to_text(count)//' particles', to_text(number)//', as &particles number says'))
+    if (foreign == '' .and. (count < number .or. count - wrong > number)) &
+      call add_finding(findings, finding_of(0, 'has '//to_text(count)//' particles', &
+      to_text(number)//', as &particles number says'))
     if (findings%count > 0) call fatal_error(error, findings_text(findings, name), exit_bad_input)
   end subroutine parse_particles
 
