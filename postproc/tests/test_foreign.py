@@ -189,6 +189,12 @@ def test_a_piece_of_a_file_is_none_of_the_program(tmp_path: Path, content: bytes
         open_results(path)
 
 
+def test_of_a_run_that_goes_on_it_is_said_how_to_look_into_it(tmp_path: Path) -> None:
+    (tmp_path / "out.h5.tasks").mkdir()
+    with pytest.raises(InputError, match="out.h5: its run goes on or was stopped: battery --part"):
+        open_results(tmp_path / "out.h5")
+
+
 def test_a_file_that_was_copied_in_parts_is_one_line(ours: Path, tmp_path: Path) -> None:
     """HDF5 copies each dataset without the scales of its dimensions, which are others."""
     path = tmp_path / "parts.h5"
