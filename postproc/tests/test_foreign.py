@@ -191,7 +191,7 @@ def test_a_piece_of_a_file_is_none_of_the_program(tmp_path: Path, content: bytes
 
 def test_of_a_run_that_goes_on_it_is_said_how_to_look_into_it(tmp_path: Path) -> None:
     (tmp_path / "out.h5.tasks").mkdir()
-    with pytest.raises(InputError, match="out.h5: its run goes on or was stopped: battery --part"):
+    with pytest.raises(InputError, match="its run goes on or was stopped: battery --partial"):
         open_results(tmp_path / "out.h5")
 
 
