@@ -100,14 +100,14 @@ contains
     character(len=:), allocatable :: problem, before, foreign
     real(wp) :: state(4)
     integer(int64) :: first, line_start, last, next
-    integer :: line, count, wrong
+    integer :: line, count, head
 
     call allocate_particle_arrays(particles, number, error)
     if (allocated(error)) return
     next = text_start(text)
     line = 0
     count = 0
-    wrong = 0
+    head = 0
     before = ''
     foreign = ''
     do while (next <= len(text, int64))
@@ -137,7 +137,8 @@ contains
         if (problem /= before) call add_finding(findings, finding_of(line, problem))
         if (foreign /= '') exit
         before = problem
-        wrong = wrong + 1
+        ! It may be the names of columns.
+        if (count == 1 .and. index(problem, ' columns') + index(problem, ' numbers') > 0) head = 1
       else if (count <= number) then
         state(3:) = state(3:)/hypot(state(3), state(4))
         particles%x(count) = state(1)
@@ -146,8 +147,7 @@ contains
         particles%uy(count) = state(4)
       end if
     end do
-    ! A line that cannot be read need not be a particle.
-    if (foreign == '' .and. (count < number .or. count - wrong > number)) &
+    if (foreign == '' .and. count /= number .and. count - head /= number) &
       call add_finding(findings, finding_of(0, 'has '//to_text(count)//' particles', &
       to_text(number)//', as &particles number says'))
     if (findings%count > 0) call fatal_error(error, findings_text(findings, name), exit_bad_input)
