@@ -632,22 +632,25 @@ def test_places_and_counts_are_of_the_same_urn(tmp_path: Path, engine: str) -> N
 
 @pytest.mark.parametrize("engine", ["excursion", "collision", "synchronous"])
 @pytest.mark.parametrize(
-    ("table", "start", "events"),
+    ("hits", "start", "events"),
     [
-        ({}, "-0.5 0.05 1 0\n-0.5 0.02 0.8 0.6\n-0.5 -0.05 0.28 0.96",
+        (0, "-0.5 0.05 1 0\n-0.5 0.02 0.8 0.6\n-0.5 -0.05 0.28 0.96",
          [(1, 1, 1), (1, 1, 2), (1, 1, 3), (2, 1, 3)]),
-        ({"channel1_length": 0.5}, "0 0.1 1 0\n-0.25 0.1 1 0\n-1 0 0 1",
-         [(3, 12, 1), (1, 1, 2)]),
+        (0, "-0.5 0.15 0.6 -0.8\n-0.5 -0.15 1 0\n1 0 0 1", [(1, 1, 1), (1, 1, 2), (2, 1, 2)]),
+        (0, "0 0.1 1 0\n-0.5 0.1 1 0\n-1 0 0 1", [(3, 12, 1), (1, 1, 2)]),
+        (1, "0 0.15 0.6 0.8\n-0.5 0.1 1 0\n-1 0 0 1", [(3, 12, 1), (1, 1, 2)]),
     ],
 )  # fmt: skip
 def test_a_run_that_goes_on_begins_with_all_events_of_its_first_instant(
-    tmp_path: Path, engine: str, table: dict[str, float], start: str, events: list[tuple[int, ...]]
+    tmp_path: Path, engine: str, hits: int, start: str, events: list[tuple[int, ...]]
 ) -> None:
-    """Three particles that enter a gate; one that leaves it as another enters. T = 1."""
+    """Particles that enter a gate, also in its corners; one that leaves as another enters. T = 1.
+
+    The one that leaves may be on a wall.
+    """
     (tmp_path / "start.txt").write_text(start)
     write(
-        tmp_path, table=table, gate={"threshold": 1},
-        particles={"number": 3, "initial_file": "'start.txt'"},
+        tmp_path, gate={"threshold": 1}, particles={"number": 3, "initial_file": "'start.txt'"},
         run={"engine": f"'{engine}'", "duration": 0.1, "start_time": 1, "transient_duration": 0},
         output={"file": "'out.h5'", "event_log": ".true."},
     )  # fmt: skip
@@ -656,6 +659,7 @@ def test_a_run_that_goes_on_begins_with_all_events_of_its_first_instant(
         found = [file[f"events/{key}"][()].tolist() for key in ("kind", "where", "particle")]
         assert list(zip(*found, strict=True)) == events
         assert not file["events/time"][()].any()
+        assert file["collisions"][0, 0] == hits
 
 
 def test_variables_of_a_fortran_library_change_nothing(tmp_path: Path) -> None:

@@ -26,8 +26,8 @@ module battery_table
   private
   public :: table_type, urn_type, channel_type, new_table, shape_circuit, shape_urn
   public :: channel1, channel2, no_channel, outside, in_urn, in_gate, in_channel2
-  public :: urn_at, x_on_side, enters_at_once, chamber_at, moves_along_arc, x_direction, is_open, &
-    are_mirror_images
+  public :: urn_at, x_on_side, enters_at_once, height_off_wall, chamber_at, moves_along_arc, &
+    x_direction, is_open, are_mirror_images
   public :: passage_type, passage_at
   public :: area, perimeter, half_length, mean_urn_passage, shortest_excursion, try_random_point, &
     longest_run
@@ -333,6 +333,13 @@ contains
     end associate
   end function moves_along_arc
 
+  !> Height of a particle in a channel of this width; just off the wall, if it is on it.
+  elemental real(wp) function height_off_wall(y, width) result(height)
+    real(wp), intent(in) :: y, width
+
+    height = sign(min(abs(y), 0.5_wp*(1.0_wp - 2.0_wp*epsilon(y))*width), y)
+  end function height_off_wall
+
   !> Passage of a particle that is in a channel: the time since it left its urn, or until it reaches
   !> it. A particle is trapped if its passage would take longer than `longest_passage`, or have more
   !> wall hits than an integer can count.
@@ -368,7 +375,7 @@ contains
       height = y
       ! On the wall, its next hit is to come: also of who has just entered, and moves into the wall.
       if (abs(y) >= 0.5_wp*channel%width .and. (passage%moves_away .or. y*uy <= 0.0_wp)) &
-        height = 0.5_wp*(1.0_wp - 2.0_wp*epsilon(y))*sign(channel%width, y)
+        height = height_off_wall(y, channel%width)
       passage%height = height
       if (passage%moves_away) call fold_into_channel(height - uy*depth/outward, channel%width, &
         passage%height, passage%reflected, passage%hits)

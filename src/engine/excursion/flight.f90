@@ -11,8 +11,8 @@ module battery_flight
   use battery_kinds, only: wp, int16, int32, int64
   use battery_channel, only: fold_into_channel, facing
   use battery_memory, only: prefer_large_pages
-  use battery_table, only: table_type, passage_type, passage_at, enters_at_once, channel1, &
-    channel2, no_channel
+  use battery_table, only: table_type, passage_type, passage_at, enters_at_once, &
+    height_off_wall, channel1, channel2, no_channel
   use battery_urn, only: urn_type, locate_in_passage, find_first_impact, meets_corner
   use battery_visits, only: visits_type, truncated
   implicit none (type, external)
@@ -100,7 +100,7 @@ contains
       ! At the instant 0, whatever the rounding of a passage through the urn.
       flight%urn = int(passage%urn, int16)
       flight%next_event = to_gate
-      flight%y = y
+      flight%y = height_off_wall(y, table%channel(channel1)%width)
       flight%u_axial = abs(ux)
       flight%u_lateral = uy
       flight%through = table%channel(channel1)%length/abs(ux)

@@ -141,13 +141,11 @@ contains
     do i = 1, self%number
       motion = motion_at(self%table, particles%x(i), particles%y(i), particles%ux(i), &
         particles%uy(i))
+      if (heads_for_middle(motion) .and. abs(motion%x) <= tiny(wait)) motion%x = 0.0_wp
       call find_first_wall(self%table, motion, wait)
       if (enters_at_once(self%table, motion%x, motion%y, motion%ux)) then
         motion%x = sign(self%table%urn(motion%urn)%channel_start(channel1), motion%x)
         motion%next = meets_gate
-        wait = 0.0_wp
-      else if (motion%next == meets_line .and. abs(motion%x) <= tiny(wait)) then
-        motion%x = 0.0_wp
         wait = 0.0_wp
       end if
       self%difference = self%difference + merge(1, -1, motion%urn == 1)
