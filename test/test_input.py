@@ -71,7 +71,7 @@ def test_large_inputs_are_read_in_seconds(tmp_path: Path, case: str) -> None:
 def test_a_large_initial_file_is_read_in_seconds(tmp_path: Path) -> None:
     """As many wrong lines are counted, the first are told."""
     (tmp_path / "c.nml").write_text(WITH_FILE.replace("number = 1", f"number = {MANY}"))
-    (tmp_path / "i.txt").write_text("9 9 1 0\n" * MANY)
+    (tmp_path / "i.txt").write_text("".join(f"9 {at} 1 0\n" for at in range(MANY)))
     ended = run("--check", "c.nml", folder=tmp_path)
     assert ended.returncode == 2
     assert "line 50: lies outside" in ended.stderr

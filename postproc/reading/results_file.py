@@ -10,7 +10,7 @@ import math
 import os
 import re
 import resource
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -45,9 +45,10 @@ class ResultsFile:
         before, so that there is no further warning.
         """
         self.path = path
-        if path.with_name(f"{path.name}.tasks").is_dir() and not path.exists():
-            raise InputError(f"{path}: its run goes on or was stopped: battery --partial FILE.nml "
-                             "writes what is finished")  # fmt: skip
+        with suppress(OSError):  # the name may be too long
+            if path.with_name(f"{path.name}.tasks").is_dir() and not path.exists():
+                raise InputError(f"{path}: its run goes on or was stopped: battery --partial "
+                                 "FILE.nml writes what is finished")  # fmt: skip
         check_seal(existing_file(path), verify=verify, quiet=quiet)
         self._file = _hdf5(path)
         try:
