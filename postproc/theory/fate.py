@@ -195,18 +195,10 @@ def _thrown_out(threshold: int, rate: float, stays: Floats, shares: Floats) -> f
     meet = rate * _meeting([1.0], staying, 0.0, rate * filled, threshold)
     row, column, since = _pairs()
     survive = (longer[row] - filled[since]) / filled[column]
+    survive, others = np.clip(survive, 0.0, 1.0), np.arange(threshold + 1) == threshold
+    met = _meeting(others, survive, staying[since], rate * filled[since], threshold)
     again = np.zeros((STEPS + 1, STEPS + 1))
-    again[row, column] = (
-        step
-        * rate
-        * _meeting(
-            np.eye(threshold + 1)[-1],
-            np.clip(survive, 0.0, 1.0),
-            staying[since],
-            rate * filled[since],
-            threshold,
-        )
-    )
+    again[row, column] = step * rate * met
     first = _first(meet, again)
     alive = 1.0 - step * (np.cumsum(first) - 0.5 * first)
     over = np.flatnonzero(alive <= 1e-4)
@@ -232,7 +224,7 @@ def _undisturbed(threshold: int, rate: float, stays: Floats, shares: Floats, ful
     found = _found(threshold, rate * mean_stay, full)[:threshold]
     found = found / found.sum()
     meet = rate * _meeting(found, residual, 0.0, rate * filled, level)
-    again = rate * _meeting(np.eye(threshold)[-1], residual, staying, rate * filled, level)
+    again = rate * _meeting(np.arange(threshold) == level, residual, staying, rate * filled, level)
     first = _first(meet, linalg.toeplitz(step * again * (time > 0.0), np.zeros(time.size)))
     gone = step * (np.cumsum(first) - 0.5 * (first + first[0]))
     alone = np.maximum(1.0 - gone, 1e-12)

@@ -460,15 +460,17 @@ contains
     integer :: status
 
     memory = array_view_of(values)
-    call h5tget_size_f(memory%value_type, bytes, status)
-    bytes = bytes*product(memory%extents)
-    call c_f_pointer(memory%address, known, [bytes])
-    if (.not. file%is_new) then
-      found = known
-      memory%address = c_loc(found)
+    if (file%is_new) then
+      call serialize_whole(file, path, memory, units, long_name, error, scales)
+      return
     end if
+    bytes = 0
+    call h5tget_size_f(memory%value_type, bytes, status)
+    call c_f_pointer(memory%address, known, [bytes*product(memory%extents)])
+    found = known
+    memory%address = c_loc(found)
     call serialize_whole(file, path, memory, units, long_name, error, scales)
-    if (file%is_new .or. allocated(error)) return
+    if (allocated(error)) return
     call check_status(file, path, 'has other values than those of the namelist in the file', &
       count(found /= known), error)
   end subroutine write_dataset
