@@ -49,6 +49,7 @@ if TYPE_CHECKING:
 
 MARKS = ("o", "s", "^", "D", "v", "P")
 TIME_COLOURS = (style.BLUE, style.VERMILION, style.BLACK, style.GREEN, style.PURPLE, style.ORANGE)
+PARAMETERS = ("number", "threshold", "channel1_width", "channel2_width")  # in titles
 MOST = 6  # points in a figure against time
 STEPS = 400  # places along the time axis
 BRANCHES = ("chi", "polarised_current")  # what theories have, of a state
@@ -73,8 +74,13 @@ def title(points: xr.Dataset, at: int) -> str:
     """Return what distinguishes a point: the keys of the scan, or N, T, w and w'."""
     names = [name for name in keys_of(points) if name not in STARTS]
     names += [*second_values(points), *["start"] * (np.unique(points["start"]).size > 1)]
-    names = names or ["number", "threshold", "channel1_width", "channel2_width"]
-    return ", ".join(equals(name, float(points[name][at])) for name in names)
+    return ", ".join(equals(name, float(points[name][at])) for name in names or PARAMETERS)
+
+
+def common(points: xr.Dataset) -> str:
+    """Return N, T, w and w', as far as they are the same at all points."""
+    values = {name: np.unique(points[name]) for name in PARAMETERS}
+    return ", ".join(equals(name, float(one[0])) for name, one in values.items() if one.size == 1)
 
 
 @style.settings()
@@ -328,6 +334,7 @@ def figure_curves(points: xr.Dataset, models: Sequence[Model] = ()) -> Figure:
     left, right = made.subplots(1, 2, sharey=True)
     draw_curves(left, points, models)
     draw_curves(right, points, models, against="chi")
+    left.set_title(common(points), loc="left")
     right.set(xlim=(-MARGIN, 1.0 + MARGIN), ylabel="")
     low, high = min(0.0, left.get_ylim()[0]), left.get_ylim()[1]
     left.set_ylim(low, high + MARGIN * (high - low))
@@ -389,5 +396,6 @@ def figure_characteristic(points: xr.Dataset, models: Sequence[Model] = ()) -> F
     made = style.figure(4.8, 3.8)
     axes = made.subplots()
     draw_characteristic(axes, points, models or defaults(points["circuit"].values))
+    axes.set_title(common(points), loc="left")
     style.legend_above(made, *axes.get_legend_handles_labels(), 2, fontsize=7.5)
     return made

@@ -118,13 +118,9 @@ def _summary(scan: Scan, columns: Columns, at: int, *, apart: bool) -> str:
     """Return the line about a point: its keys and measured values, or that replicas are apart."""
     place = [f"{SYMBOLS.get(name, name)} = {columns[name][at]:.5g}"
              for name in scan.keys | scan.second_values]  # fmt: skip
-    found = [
-        f"{name} {columns[name][at]:.4g} ± {columns[f'{name}_error'][at]:.1g}".replace(
-            "± nan", "(error not known)"
-        )
-        for name in MEASURED
-        if math.isfinite(columns[name][at])
-    ]
+    known = ((name, columns[name][at], columns[f"{name}_error"][at]) for name in MEASURED)
+    found = [f"{name} {with_error(*values, ' (error not known)')}"
+             for name, *values in known if math.isfinite(values[0])]  # fmt: skip
     none = "replicas in two states, which have no mean" if apart else "no results yet"
     return ": ".join(part for part in (", ".join(place), ", ".join(found) or none) if part)
 
@@ -180,7 +176,7 @@ def replicas_of(points: xr.Dataset) -> Columns:
     for name, source in {"chi": "chi", "current": current_name(points)}.items():
         if source in tasks:
             values = zip(tasks[source], tasks[f"{source}_error"], strict=True)
-            columns[name] = np.array([_with_error(*one) for one in values])
+            columns[name] = np.array([with_error(*one) for one in values])
     columns["collisions"] = np.array([f"{one:.2e}".replace("e+0", "e").replace("e+", "e")
                                       for one in tasks["collisions"]])  # fmt: skip
     columns["seconds"] = np.array([f"{one:.2g}" for one in tasks["cpu_seconds"]])
@@ -189,10 +185,14 @@ def replicas_of(points: xr.Dataset) -> Columns:
     return columns
 
 
-def _with_error(value: float, error: float) -> str:
+def with_error(value: float, error: float, unknown: str = "") -> str:
+    """Return a value with its error, both to the first digit of that; "-": no value."""
     if not math.isfinite(value):
         return "-"
-    return f"{value:.4g} ± {error:.1g}" if math.isfinite(error) else f"{value:.4g}"
+    if not math.isfinite(error):
+        return f"{value:.4g}{unknown}"
+    places = max(-math.floor(math.log10(error)), 0) if error > 0.0 else 4
+    return f"{round(value, places) + 0.0:.{places}f} ± {error:.{places}f}"  # no -0.0
 
 
 def thinned_series(points: xr.Dataset) -> tuple[Floats, Columns]:

@@ -302,7 +302,7 @@ class Page:
             heads["start"] = "start chi"
         for name in self.measured:
             heads |= {name: name, f"{name}_error": f"{name} error"}
-            heads |= {f"{key}_{name}": f"{name}, {one.label}" for key, one in self.models.items()
+            heads |= {f"{key}_{name}": f"{name}, {key}" for key in self.models
                       if f"{key}_{name}" in self.columns}  # fmt: skip
         heads["tasks"] = "tasks"
         return _table("points", self.points, heads, rows=min(self.given.sizes["point"], 16))
@@ -353,7 +353,7 @@ class Page:
             x_range=(0.0, time[-1]),
             y_range=(known.min(initial=0.0), known.max(initial=1.0)),
         )
-        made.height, made.xaxis.axis_label = 240, "time"
+        made.height, made.xaxis.axis_label = 240, "time t (length / v)"
         made.multi_line("time", name, source=shown, line_color="colour", line_width="width",
                         legend_field="replica")  # fmt: skip
         made.varea("time", f"{name}_low", f"{name}_high", source=band, fill_color="#d55e00",
