@@ -344,20 +344,26 @@ def _namelist_file(namelist: str | Path | Groups, program: Path, folder: Path) -
     return path
 
 
+def _for_stdout(line: str) -> str:
+    """Return a line with escapes for what the standard output of Python cannot show."""
+    known = getattr(sys.stdout, "encoding", None) or "utf-8"
+    return line.encode(known, "backslashreplace").decode(known)
+
+
 def _launch(command: list[str], folder: Path, quiet: bool) -> tuple[int, str, str]:
     """Return exit code, output and errors of a command; output is printed as it arrives."""
     output = []
     with tempfile.TemporaryFile("w+", encoding="utf-8", errors="replace") as errors:
         with subprocess.Popen(
             ended_with_python(command), cwd=folder, stdin=subprocess.DEVNULL,
-            stdout=subprocess.PIPE, stderr=errors, text=True, errors="replace",
+            stdout=subprocess.PIPE, stderr=errors, encoding="utf-8", errors="replace",
             start_new_session=True, env=own_environment(),
         ) as process:  # fmt: skip
             try:
                 for line in process.stdout or ():
                     output.append(line)
                     if not quiet:
-                        print(line, end="", flush=True)
+                        print(_for_stdout(line), end="", flush=True)
             except BaseException as problem:
                 process.send_signal(signal.SIGUSR1)  # saves the state; mpirun passes it on
                 if process.wait() == STOPPED and isinstance(problem, KeyboardInterrupt):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import os
 import signal
 import subprocess
@@ -77,6 +78,17 @@ for ranks in (1, 1, 2):
     )  # fmt: skip
     assert ended.returncode == 0, ended.stderr
     assert ended.stdout == f"{tmp_path / 'case.h5'}\n" * 3
+
+
+def test_output_that_cannot_show_the_name_of_a_file_ends_no_run(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with io.TextIOWrapper(io.BytesIO(), encoding="ascii") as old:
+        monkeypatch.setattr(sys, "stdout", old)
+        path = postproc.run(changed(output={"file": "r\u00e9sultat.h5"}), folder=tmp_path)
+        old.seek(0)
+        assert "results: r\\xe9sultat.h5" in old.read()
+    assert path == tmp_path / "r\u00e9sultat.h5"
 
 
 def test_a_complete_run_is_there_at_once(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:

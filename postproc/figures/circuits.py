@@ -360,7 +360,9 @@ def draw_characteristic(axes: Axes, points: xr.Dataset, models: Sequence[Model])
     shown = axes.errorbar(current, voltage, deviation, error, fmt="o", color=style.BLUE,
                           mfc="none", ms=3.8, lw=0.7, label="$U$, measured")  # fmt: skip
     right = axes.twinx()
-    axes.figure.sca(axes)  # those of what is drawn next, such as a legend
+    right.patch.set_visible(False)  # over an inset matplotlib shows it
+    if axes in axes.figure.axes:  # not an inset
+        axes.figure.sca(axes)  # those of what is drawn next, such as a legend
     power, look = current * voltage, {"color": style.ORANGE, "ms": 3.4, "lw": 0.7}
     (line,) = right.plot(current, power, "s", mfc="none", **look)
     axes.plot([], [], "s", mfc="none", label="$J U$, measured", **look)

@@ -151,7 +151,7 @@ def draw_map(
     if keys[0] == "threshold" and number.size == 1:
         x, labels[0] = x / number[0], SYMBOLS["threshold_fraction"]
     axes.set_facecolor("#D0D0D0")
-    mesh = axes.pcolormesh(x, y, np.ma.masked_invalid(shown), **look)
+    mesh = axes.pcolormesh(x, y, np.ma.masked_invalid(shown), shading="flat", **look)
     mesh.set_rasterized(True)
     axes.set(xlabel=labels[0], ylabel=labels[1], xlim=x[[0, -1]], ylim=(max(y[0], 0.0), y[-1]))
     axes.xaxis.set_major_locator(MaxNLocator(5))

@@ -29,6 +29,7 @@ from postproc.reading.points import (
     by_point,
     flat,
     mean_error,
+    of_files,
 )
 from postproc.reading.results_file import ResultsFile
 from postproc.theory.models import defaults, named
@@ -246,7 +247,7 @@ def merge(parts: Iterable[str | Path | xr.Dataset]) -> xr.Dataset:
             data[key].attrs = one.attrs
     data.attrs = _attributes([one.attrs for one in given])
     complete, asked = int((data["task_status"] == COMPLETE).sum()), len(table)
-    data.attrs |= {"files": [file for one in given for file in one.attrs["files"]],
+    data.attrs |= {"files": [file for one in given for file in of_files(one, "files")],
                    "created": [date for one in given for date in created(one)],
                    "tasks": f"{complete} of {asked} tasks are complete"}  # fmt: skip
     return data
@@ -296,7 +297,7 @@ def _tasks(given: Sequence[xr.Dataset]) -> tuple[pd.DataFrame, list[str]]:
         frame = rows[[*kept, *fractions]].to_dataframe().reset_index(drop=True)
         frame["file"] = frame.get("file", 0) + files
         frames.append(frame[frame["task_status"] != NOT_ASKED])
-        files += len(one.attrs["files"])
+        files += len(of_files(one, "files"))
     table = pd.concat(frames, ignore_index=True)
     for second, first in (("threshold2", "threshold"), ("urn_radius2", "urn_radius")):
         if second in table:

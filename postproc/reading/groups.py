@@ -11,7 +11,7 @@ import numpy as np
 import xarray as xr
 
 from postproc.cli import InputError
-from postproc.reading.points import COMPLETE, FLOWS, PARAMETERS, files_of
+from postproc.reading.points import COMPLETE, FLOWS, PARAMETERS, files_of, of_files
 from postproc.reading.results_file import ResultsFile
 
 if TYPE_CHECKING:
@@ -45,7 +45,7 @@ def group_of(data: xr.Dataset, group: str) -> xr.Dataset:
 
     Only tasks that are in the dataset are read; of those that are not complete all is NaN.
     """
-    files = data.attrs.get("files", [])
+    files = of_files(data, "files")
     known = files and {"task", "task_status"} <= set(data.variables)
     if not known or data["task"].dtype.kind != "i":  # such as a mean, or after `where`
         told = "of points of it that sel or isel choose"
@@ -80,9 +80,7 @@ def group_of(data: xr.Dataset, group: str) -> xr.Dataset:
 
 def created(data: xr.Dataset) -> list[str]:
     """Return when each of the files of a dataset was made, as far as the dataset says so."""
-    return [
-        str(one) for one in np.ravel(data.attrs.get("created", [""] * np.size(data.attrs["files"])))
-    ]
+    return of_files(data, "created") or [""] * len(of_files(data, "files"))
 
 
 # `data.series` and the others.

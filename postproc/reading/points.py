@@ -205,9 +205,14 @@ def current_name(points: xr.Dataset) -> str:
     return "current1" if points.attrs.get("shape") == "urn" else "polarised_current"
 
 
+def of_files(data: xr.Dataset, name: str) -> list[str]:
+    """Return an attribute that has a text for each file; netCDF keeps a list of one as a text."""
+    return [str(one) for one in np.ravel(data.attrs.get(name, []))]
+
+
 def files_of(data: xr.Dataset) -> str:
     """Return the names of the files, for messages."""
-    return ", ".join(data.attrs.get("files", ["the dataset"]))
+    return ", ".join(of_files(data, "files") or ["the dataset"])
 
 
 def remark(points: xr.Dataset) -> str:

@@ -46,7 +46,7 @@ class ResultsFile:
         """
         self.path = path
         with suppress(OSError):  # the name may be too long
-            if path.with_name(f"{path.name}.tasks").is_dir() and not path.exists():
+            if not path.exists() and path.with_name(f"{path.name}.tasks").is_dir():
                 raise InputError(f"{path}: its run goes on or was stopped: battery --partial "
                                  "FILE.nml writes what is finished")  # fmt: skip
         check_seal(existing_file(path), verify=verify, quiet=quiet)

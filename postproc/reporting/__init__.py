@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from postproc import cli
 from postproc.figures.theories import asked
 from postproc.reading.grid import dataset_of
-from postproc.reading.points import by_point, remark, say
+from postproc.reading.points import by_point, of_files, remark, say
 from postproc.theory.models import defaults
 
 if TYPE_CHECKING:
@@ -44,7 +44,7 @@ def report(
         There are no results, the page cannot be written, or Bokeh is not installed.
     """
     points = by_point(dataset_of(results, verify=verify))
-    name = points.attrs["files"][0].rpartition("/")[2].removesuffix(".h5")
+    name = of_files(points, "files")[0].rpartition("/")[2].removesuffix(".h5")
     path = cli.path_of(f"{name}.html" if file is None else file, "file")
     cli.file_to_write(path, "HTML page")
     models = defaults(points["circuit"].values) if theory is None else asked(points, theory)

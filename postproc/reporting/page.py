@@ -43,7 +43,7 @@ from bokeh.resources import Resources
 from postproc.figures import style
 from postproc.figures.scene import draw_table
 from postproc.figures.style import CYCLE
-from postproc.reading.points import with_tasks
+from postproc.reading.points import of_files, with_tasks
 from postproc.reporting import data
 from postproc.reporting.warn import explanations, warnings
 from postproc.theory.models import left_out
@@ -421,7 +421,7 @@ def themed(figures: list[figure]) -> CustomJS:
 def _run(points: xr.Dataset) -> dict[str, str]:
     known = points.attrs
     collisions, seconds = (float(points[name].sum()) for name in ("collisions", "cpu_seconds"))
-    rows = {name.replace("_", " "): ", ".join(dict.fromkeys(map(str, np.ravel(known[name]))))
+    rows = {name.replace("_", " "): ", ".join(dict.fromkeys(of_files(points, name)))
             for name in KEPT if name in known}  # fmt: skip
     rows["tasks"] = f"{int(points['complete'].sum())} of {int(points['asked'].sum())} complete"
     rows["wall collisions"] = f"{collisions:.4g}"
@@ -484,7 +484,7 @@ def page(points: xr.Dataset, models: dict[str, Model]) -> str:
     scan = data.scanned(points)
     parts = Page(points, scan, models, data.points_of(points, scan, models))
     panels, choices, detail = parts.panels(), parts.choices(), parts.detail()
-    title = ", ".join(file.rpartition("/")[2] for file in points.attrs["files"])
+    title = ", ".join(file.rpartition("/")[2] for file in of_files(points, "files"))
     document = Document(title=title)
     roots = [parts.reading] if panels else []
     with document.models.freeze():  # or the models of all roots are gathered anew with each root

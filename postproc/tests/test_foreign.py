@@ -189,6 +189,12 @@ def test_a_piece_of_a_file_is_none_of_the_program(tmp_path: Path, content: bytes
         open_results(path)
 
 
+@pytest.mark.parametrize("name", [".", "/", ".."])
+def test_a_folder_is_no_file(name: str) -> None:
+    with pytest.raises(InputError, match="is a folder, not a file"):
+        open_results(name)
+
+
 def test_of_a_run_that_goes_on_it_is_said_how_to_look_into_it(tmp_path: Path) -> None:
     (tmp_path / "out.h5.tasks").mkdir()
     with pytest.raises(InputError, match="its run goes on or was stopped: battery --partial"):

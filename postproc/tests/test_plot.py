@@ -64,12 +64,15 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_a_figure_is_drawn_into_axes_of_ones_own(
     folder: Path, draw: object, part: dict[str, float], kind: type
 ) -> None:
-    """It gives what matplotlib's own functions give, and sets nothing else."""
-    data, axes = postproc.open_results(folder / "map.h5").sel(part), Figure().add_subplot()
-    before = dict(mpl.rcParams)
-    drawn = draw(data, ax=axes, **({} if draw is plot.scene else {"theory": "window"}))
+    """It gives what matplotlib's own functions give, and sets nothing else; also in an inset."""
+    data = postproc.open_results(folder / "map.h5").sel(part)
+    axes = Figure().add_subplot().inset_axes((0.5, 0.5, 0.4, 0.4))
+    with mpl.rc_context({"pcolor.shading": "nearest"}):
+        before = dict(mpl.rcParams)
+        drawn = draw(data, ax=axes, **({} if draw is plot.scene else {"theory": "window"}))
+        assert dict(mpl.rcParams) == before
     assert all(isinstance(one, kind) for one in (drawn if isinstance(drawn, list) else [drawn]))
-    assert dict(mpl.rcParams) == before
+    assert not any(one.patch.get_visible() for one in axes.figure.axes[1:])  # they would hide it
     assert axes.has_data()
     axes.figure.draw_without_rendering()
 
@@ -611,8 +614,16 @@ def test_what_differs_in_merged_runs_is_said(folder: Path, tmp_path: Path) -> No
         postproc.merge([folder / "seed1.h5", urn])
 
 
-def test_series_come_with_a_part_of_the_dataset(folder: Path) -> None:
+@pytest.mark.parametrize("is_kept", [False, True])
+def test_series_come_with_a_part_of_the_dataset(
+    folder: Path, tmp_path: Path, *, is_kept: bool
+) -> None:
+    """Also with one that was kept as netCDF, which knows no list of one text."""
     data = postproc.open_results(folder / "map.h5").sel(threshold=4)
+    if is_kept:
+        data.to_netcdf(tmp_path / "kept.nc", engine="h5netcdf")
+        data = xr.open_dataset(tmp_path / "kept.nc", engine="h5netcdf")
+        assert postproc.merge([data]).attrs["files"] == [str(folder / "map.h5")]
     series = data.series
     assert series["urn1_number"].dims == ("channel2_width", "replica", "time")
     one = postproc.residences(data.isel(replica=1).series)
