@@ -72,11 +72,11 @@ def _figure(circuit: Circuit, points: xr.Dataset | None) -> Figure:
         step = -(-full.x.size // SHOWN)
         parts = [part[::step] for part in (full.x, full.y, full.ux, full.uy)]
         snapshot = Snapshot(full.time, *parts)
-        said = f"{parts[0].size} of {full.x.size} particles"
+        said = f"{parts[0].size} of {full.x.size} particles, $t = {full.time:g}$"
     made = style.figure(style.PAGE if circuit.shape == "circuit" else style.COLUMN * 1.2, 2.9)
     made.set_layout_engine("none")  # the labels are outside of the axes
     axes = made.add_axes((0.03, 0.02, 0.94, 0.94))
-    axes.text(1.0, 1.0, said, transform=axes.transAxes, ha="right", va="top", fontsize=8)
+    made.text(0.98, 0.98, said, ha="right", va="top", fontsize=8)
     draw_table(axes, circuit)
     counted = counted_by(circuit, snapshot) > 0
     colour = np.where(counted, style.VERMILION, style.BLUE)
