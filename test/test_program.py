@@ -458,6 +458,18 @@ def test_the_command_for_all_points_can_be_typed(tmp_path: Path) -> None:
     assert len(typed.stdout.splitlines()) == 1 + 13
 
 
+def test_a_stopped_scan_says_how_to_see_its_points(tmp_path: Path) -> None:
+    """Tasks go replica by replica: at first no point has two, of which there would be a mean."""
+    scan = {"threshold_range": "1, 8, 8", "replicas": "2"}
+    length = {"duration": "1500000", "transient_duration": "0"}
+    write(tmp_path, scan=scan, run=length, output={"file": "'out.h5'"},
+          limits={"wall_minutes": "0.015"})  # fmt: skip
+    printed = "0 of 16"
+    while printed.startswith("0 of 16"):  # each run goes on where the last one ended
+        printed = run("case.nml", folder=tmp_path).stdout
+    assert printed.startswith("all points: ")
+
+
 def test_run_too_short_for_an_error_has_none_and_says_so(tmp_path: Path) -> None:
     """Directions relax in 32 time units here: a run of ten times that has errors, half has none."""
     wide = {"channel1_width": "0.9", "channel2_width": "0.6"}

@@ -346,7 +346,6 @@ contains
     type(plan_type) :: partial
     type(sources_type) :: sources
     type(results_type) :: results
-    type(results_file_type) :: file
     type(error_type), allocatable :: damage, ignored
     character(len=:), allocatable :: unique
     logical :: complete, was_complete
@@ -354,18 +353,8 @@ contains
     message = ''
     partial = plan
     partial%file = plan%file//'.partial.h5'
-    call inspect_results_file(partial, .false., file, was_complete, damage, error)
-    call close_results(file)
-    if (.not. allocated(error)) call move_alloc(damage, error)
-    if (allocated(error)) then
-      ! What is advised behind the reason is about a results file.
-      if (index(error%message, '; ') > 0) error%message = error%message(:index(error%message, &
-        '; ') - 1)
-      error%message = partial%file//': is not a partial file of this input, and is not ' &
-        //'replaced; move it away ('//error%message//')'
-      error%code = exit_bad_input
-      return
-    end if
+    call check_replaceable()
+    if (allocated(error)) return
     call inspect_journal(plan, .true., sources%journal_type, error)
     if (.not. allocated(error)) call open_sources(sources, .true., error)
     if (.not. allocated(error)) call inspect_results_file(plan, .true., sources%old, complete, &
@@ -384,6 +373,7 @@ contains
       call remove_file(unique, error)
       if (.not. allocated(error)) call write_results_of(plan, sources, unique, file_stamp_type(), &
         utc_now(), results, error)
+      if (.not. allocated(error)) call check_replaceable()
       if (.not. allocated(error)) call publish_file(unique, partial%file, error)
       if (allocated(error)) then
         call remove_file(unique, ignored)
@@ -395,6 +385,23 @@ contains
     call close_sources(sources)
 
   contains
+
+    !> An error if what has the name of the partial file is no partial file of this input.
+    subroutine check_replaceable()
+      type(results_file_type) :: file
+      type(error_type), allocatable :: reason
+
+      call inspect_results_file(partial, .false., file, was_complete, reason, error)
+      call close_results(file)
+      if (.not. allocated(error)) call move_alloc(reason, error)
+      if (.not. allocated(error)) return
+      ! What is advised behind the reason is about a results file.
+      if (index(error%message, '; ') > 0) error%message = error%message(:index(error%message, &
+        '; ') - 1)
+      error%message = partial%file//': is not a partial file of this input, and is not ' &
+        //'replaced; move it away ('//error%message//')'
+      error%code = exit_bad_input
+    end subroutine check_replaceable
 
     !> Text for a results file that is damaged, whose tasks are not known.
     pure function damage_text() result(text)

@@ -23,7 +23,7 @@ module battery_summary
     'stopped early, the state is saved: the same command goes on'
 
   !> Up to this many tasks are printed one by one; up to this many points, with averages over their
-  !> replicas.
+  !> replicas. If some are not, the command that prints all is.
   integer, parameter :: most_rows = 12
 
   !> What the tables may show, and their heads there, with that of the error: the currents of both
@@ -64,8 +64,9 @@ contains
     end do
     if (quiet) return
     call print_tables(plan, results)
-    if (plan%point_count > most_rows) call print_line('all points: '//postproc_command() &
-      //' table '//plan%file)
+    if (task_count(plan) > most_rows .and. (plan%point_count > most_rows .or. any(count( &
+      results%task_status == task_complete, 1) == 1))) call print_line('all points: ' &
+      //postproc_command()//' table '//plan%file)
     done = count(results%task_status == task_complete)
     call print_line(to_text(done)//' of '//to_text(count(results%task_status /= task_not_asked)) &
       //' tasks are complete')

@@ -21,8 +21,8 @@ module battery_tasks
 
   !> One task: a replica of a point of the scan.
   type :: task_type
-    !> Number of the task from 1; its point and replica.
-    integer :: task = 0, point = 0, replica = 0
+    !> Its point and replica, from 1.
+    integer :: point = 0, replica = 0
     type(setup_type) :: setup
     !> Hash of the task and its output: names its records of result and saved state.
     integer(int64) :: task_id = 0
@@ -52,7 +52,6 @@ contains
     integer, intent(in) :: number
     type(task_type) :: task
 
-    task%task = number
     task%point = (number - 1)/plan%replicas + 1
     task%replica = number - (task%point - 1)*plan%replicas
     task%setup = setup_of(plan, task%point, task%replica)

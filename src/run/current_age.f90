@@ -64,7 +64,7 @@ contains
     real(dp) :: ages(2)
     real(dp), allocatable :: lacks(:)
     real(dp) :: transient, times, two_digits
-    character(len=16) :: percent
+    character(len=16) :: percent, times_text
     integer :: step, worst, at
 
     text = ''
@@ -100,7 +100,8 @@ contains
       if (seconds > 0.0_dp) then
         text = text//'about '//duration_text(times*seconds)//')'
       else
-        text = text//to_text(max(nint(times), 1))//' times the cost)'
+        write (times_text, '(f16.1)') times
+        text = text//trim(adjustl(times_text))//' times the cost)'
       end if
     end if
   end function current_remark

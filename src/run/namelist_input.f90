@@ -8,7 +8,7 @@ module battery_namelist_input
   use battery_findings, only: finding_type, finding_of, add_finding, findings_text, &
     displayable_text, of_missing
   use battery_settings, only: settings_type, read_settings, find_setting, is_given, get_value
-  use battery_key, only: key_type, whole_key, is_beyond, longest_range
+  use battery_key, only: whole_key, is_beyond, longest_range
   use battery_keys, only: all_keys, key_length, corner_keys
   use battery_identity, only: twelve_digits
   use battery_plan, only: plan_type, scanned_type, points_text, refuse_value, refuse_key, &

@@ -11,7 +11,7 @@ module battery_plan
   use battery_kinds, only: wp, int64
   use battery_urn, only: shape_polygon
   use battery_table, only: table_type, urn_type, channel_type, new_table, shape_circuit, &
-    shape_urn, channel1, channel2
+    shape_urn, channel2
   use battery_corners, only: regular_corners
   use battery_engine, only: particles_type
   use battery_setup, only: run_type, setup_type
