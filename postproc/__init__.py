@@ -47,8 +47,11 @@ __all__ = [
     "Circuit", "InputError", "RunError", "__version__", "advise", "film", "mean_error", "merge",
     "open_results", "plan", "plot", "report", "residences", "run", "table", "write_namelist",
 ]  # fmt: skip
-# Commands of before version 0.4.0 that have another name now.
-_RENAMED = {"currents": "plot flows", "scene": "plot scene", "figures": "plot"}
+# Modules that were commands before version 0.4.0, and what they are now.
+_RENAMED = {
+    "currents": "plot flows", "scene": "plot scene", "figures": "plot",
+    **{one: one for one in ("advise", "film", "lifetimes", "plot", "report", "table", "theory")},
+}  # fmt: skip
 
 
 def _answer_old_command(words: list[str]) -> None:
@@ -57,8 +60,9 @@ def _answer_old_command(words: list[str]) -> None:
         return
     name = words[words.index("-m") + 1]
     if name.startswith("postproc.") and not name.endswith("__main__"):
-        new = _RENAMED.get(name.removeprefix("postproc."), name.removeprefix("postproc."))
-        sys.exit(f"error: python -m {name} is battery-postproc {new} since version 0.4.0")
+        new = _RENAMED.get(name.removeprefix("postproc."))
+        if new is not None:
+            sys.exit(f"error: python -m {name} is battery-postproc {new} since version 0.4.0")
 
 
 if sys.argv[:1] == ["-m"]:

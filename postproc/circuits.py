@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
     from postproc.theory.chain import Lifetimes
+    from postproc.theory.model import Model as Theory
     from postproc.theory.outlines import Outline
 
     Floats = NDArray[np.float64]
@@ -31,6 +32,7 @@ if TYPE_CHECKING:
 PAPERS = "window"
 MOST_SIDES = 1000  # of regular polygons, as in the program
 MOST = 2**31 - 1  # of whole numbers, as in the program
+LARGEST = 200_000_000  # N, as in the program
 FINEST = 2.0**-40  # least width over the longest length, as in the program
 
 
@@ -116,7 +118,7 @@ class Circuit:
         numpy.ndarray
             Of the same shape; NaN where the theory knows no flow.
         """
-        (known,) = named(theory)
+        known = _one(theory)
         return known.eta(self.model(), urn2_number)
 
     def states(self, theory: str = PAPERS, age: float = PAPERS_AGE) -> list[State]:
@@ -139,7 +141,7 @@ class Circuit:
         """
         if not (isinstance(age, (int, float, np.number)) and age >= 0.0):
             raise InputError(f"age = {age}; allowed: one number from 0 up")
-        (known,), own = named(theory), self.model(age)
+        known, own = _one(theory), self.model(age)
         found = known.states(own)
         if not known.of(own).alike:  # two gates that never reverse are alike
             return found
@@ -151,7 +153,7 @@ class Circuit:
         There the derivative of eta by N2 at N2 = N/2 changes its sign. NaN: there is none.
         `channel2_width` is not used.
         """
-        own, (known,) = self.model(), named(theory)
+        own, known = self.model(), _one(theory)
         if known.mixed or not own.alike:
             return float(known.theory_of(own).transition_width(known.of(own)))
         return float(self.transition_line([_both(self.threshold)[0]], theory)[1][0])
@@ -174,7 +176,7 @@ class Circuit:
         tuple of numpy.ndarray
             T, and w' of the same shape, NaN where there is no line.
         """
-        own, (known,) = self.model(), named(theory)
+        own, known = self.model(), _one(theory)
         given = list(thresholds) if np.iterable(thresholds) else [thresholds]
         if not all(_is_number(one) and 0 <= one <= MOST and one == round(one) for one in given):
             told = f"allowed: whole numbers from 0 to {MOST}"
@@ -194,7 +196,7 @@ class Circuit:
 
         In units of length over speed; infinite: a state is never left, 0: there is no such state.
         """
-        own, (known,) = self.model(), named(theory)
+        own, known = self.model(), _one(theory)
         if not own.alike:
             raise InputError("lifetimes need two equal urns and gates")
         return known.lifetimes(own)
@@ -262,7 +264,8 @@ class Circuit:
     def _problems(self) -> list[str]:
         """Return what is wrong with the values, a line for each."""
         given = asdict(self)
-        rules = [("number", _is_whole(self.number, 1), f"a whole number from 1 to {MOST}")]
+        rules = [("number", _is_whole(self.number, 1, LARGEST),
+                  f"a whole number from 1 to {LARGEST}")]  # fmt: skip
         for key, allowed, good in (
             (
                 "threshold",
@@ -324,10 +327,18 @@ def _both(value: Any) -> tuple[Any, Any]:  # noqa: ANN401 (a number, or a sequen
     return values[0], values[-1]
 
 
-def _is_whole(value: object, least: int) -> bool:
+def _one(theory: object) -> Theory:
+    """Return the theory of a name; raise `InputError` for several."""
+    found = named(theory)
+    if len(found) != 1:
+        raise InputError(f"theory = {theory!r}: must be one name")
+    return found[0]
+
+
+def _is_whole(value: object, least: int, most: int = MOST) -> bool:
     if isinstance(value, bool) or not isinstance(value, (int, np.integer)):
         return False
-    return bool(least <= value <= MOST)
+    return bool(least <= value <= most)
 
 
 def _is_number(value: object) -> bool:

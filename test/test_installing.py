@@ -71,6 +71,8 @@ def test_commands_and_package_work_from_every_folder(tmp_path: Path) -> None:
     assert old.stderr == (
         "error: python -m postproc.currents is battery-postproc plot flows since version 0.4.0\n"
     )
+    gone = call(tools / "python", "-m", "postproc.compare", folder=tmp_path)
+    assert gone.stderr.endswith("No module named postproc.compare\n")
 
 
 @cache

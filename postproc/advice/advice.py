@@ -61,7 +61,7 @@ NEAR = 1.1  # factor by which a pilot's transient may be shorter than its own re
 LARGE = 0.75  # chi below which the circuit may be close to a transition
 MEASURED = 2.0  # transients that a replica measures
 FEWEST = 4  # replicas of advised runs
-POLARISED = 0.05  # share of urn 1 at the start
+START_SHARE = 0.05  # share of urn 1 at the start
 SCAN = 8.0  # number of states that a theory computes for its transition, about
 PATIENCE = 5.0  # s, limit for a finer theory, which shows whether errors cancel
 ACROSS = 5  # thresholds of a scan across a transition
@@ -204,7 +204,7 @@ def runs(
 def start_of(groups: Groups, quantity: str) -> int:
     """Return how many begin in urn 1: as in the namelist, else a twentieth or a third."""
     number, named = int(groups["particles"]["number"]), groups["particles"].get("urn1_number")
-    share = 0.3 if quantity == "transition" else POLARISED
+    share = 0.3 if quantity == "transition" else START_SHARE
     return int(named) if named is not None else round(share * number)
 
 

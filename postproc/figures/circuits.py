@@ -102,8 +102,9 @@ def figure_flows(points: xr.Dataset, models: Sequence[Model] = ()) -> Figure:
         first = int(points["complete"].values[at].argmax())
         (series,) = series_of(points, at, first)
         panels = draw_currents(made, cells[0, at], circuit, series, models, starts[at])
-        panels[0].set_title(f"({chr(97 + at)})  {title(points, at)}" if count > 1
-                            else title(points, at))  # fmt: skip
+        replica = f", replica {first}" if points["asked"].values[at].sum() > 1 else ""
+        letter = f"({chr(97 + at)})  " if count > 1 else ""
+        panels[0].set_title(letter + title(points, at) + replica)
         for axes in panels if at > 0 else ():
             axes.set_ylabel("")
         if models:
@@ -181,7 +182,7 @@ def draw_relaxation(
 
     Replicas in two states have no mean: each is a line, of which the first is returned.
     """
-    known = () if points.attrs.get("shape") == "urn" else QUANTITIES
+    known = [] if points.attrs.get("shape") == "urn" else [*QUANTITIES]
     if quantity not in known:
         told = ", ".join(known) or "none of the single urn"
         raise InputError(f"against time there is no {quantity!r}; there are {told}")
@@ -249,8 +250,11 @@ def draw_curves(
     as_share = across == "threshold_fraction" or (
         across == "threshold" and np.unique(points["number"]).size == 1
     )
-    known = {quantity, against or quantity} <= {*BRANCHES}
-    theories = _theory_looks(models if known else (), across)
+    shown = [one for one in (quantity, against) if one]
+    if models and not {*shown} <= {*BRANCHES}:
+        raise InputError(f"theories are drawn of {' and '.join(BRANCHES)}, not of "
+                         f"{' against '.join(shown)}")  # fmt: skip
+    theories = _theory_looks(models, across)
     drawn = []
     for at, (value, part) in enumerate(groups(points, *([other] if other else []))):
         colour, mark = style.CYCLE[at % len(style.CYCLE)], MARKS[at % len(MARKS)]

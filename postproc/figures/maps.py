@@ -65,6 +65,7 @@ def map_axes(points: xr.Dataset) -> Keys:
     keys = keys_of(points)
     across, up = axes_of(list(keys))
     figure = "curves" if across or not keys else "relaxation"
+    of_one = ", for one start (--select)" if across and {*keys} & {*STARTS} else ""
     if not up:
         alone = across or "".join(keys)
         found = f"{alone} alone was scanned" if alone else "here is one point"
@@ -74,7 +75,7 @@ def map_axes(points: xr.Dataset) -> Keys:
             return across, up
         found = f"{across} and {up} change together"
     raise cli.InputError(
-        f"a map needs two keys other than the start, {found}: figure {figure!r} shows it"
+        f"a map needs two keys other than the start, {found}: figure {figure!r} shows it{of_one}"
     )
 
 
@@ -175,7 +176,8 @@ def values_of(points: xr.Dataset, name: str) -> tuple[Floats, str, dict[str, obj
 
     Raises `InputError` if there is no such variable, or no point has a mean.
     """
-    if name not in LOOKS and not (name in points and "replica" in points[name].dims):
+    drawn = isinstance(name, str) and (name in LOOKS or name in points)
+    if not drawn or not (name in LOOKS or "replica" in points[name].dims):
         raise cli.InputError(f"there is no variable {name!r} of runs to draw, such as chi")
     about = points[name].attrs if name in points else {}
     label, look = LOOKS.get(name, (about.get("long_name", name), {}))

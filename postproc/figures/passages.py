@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
+import pandas as pd
 from scipy import stats
 
 from postproc.cli import InputError
@@ -35,10 +36,9 @@ if TYPE_CHECKING:
     from postproc.theory.model import Model
 
 LOW, HIGH = 0.2, 0.7  # chi at which the polarised, the homogeneous state has been left
-MIDDLE = 0.5  # starts with chi above this are polarised
 BOUND = 3.0  # without a passage the lifetime exceeds a third of the time, at 95 %
 CONFIDENCE = 0.6827  # of the intervals drawn
-COLUMNS = (2, 4, 6, 5, 11, 7, 9)  # widths in the table
+MOST = 6  # panels
 PANEL = ("threshold", "channel1_length", WIDTH)  # what is one in a panel
 DRAWN = (3e2, 1e10)  # range of lifetimes in the figure, length/v
 
@@ -114,9 +114,12 @@ def measured(points: xr.Dataset) -> list[Lifetime]:
     need_only(points, "threshold", "number", "channel1_length", "channel2_width", "start")
     passages: dict[tuple[Circuit, bool], list[tuple[float, bool]]] = {}
     circuits, starts = alike(points), points["start"].values
+    if between := [one for one in starts if LOW < one < HIGH]:
+        raise InputError(f"runs that begin at chi = {between[0]:.3g} are in neither state: choose, "
+                         "--select urn1_fraction=... or data.sel(urn1_fraction=...)")  # fmt: skip
     circuits = [replace(one, age=PAPERS_AGE) for one in circuits]  # no lifetime depends on it
     for at, series in each_series(points):
-        circuit, polarised = circuits[at], bool(starts[at] > MIDDLE)
+        circuit, polarised = circuits[at], bool(starts[at] >= HIGH)
         passage = first_passage(series, LOW if polarised else HIGH, polarised)
         passages.setdefault((circuit, polarised), []).append(passage)
     if not passages:
@@ -129,25 +132,17 @@ def measured(points: xr.Dataset) -> list[Lifetime]:
     return lifetimes
 
 
-def table(found: Sequence[Lifetime], models: Sequence[Model]) -> str:
+def listed(found: Sequence[Lifetime], models: Sequence[Model]) -> str:
     """Return the lifetimes and those of the chains as text, a line for each point."""
-    names = zip(("T", "l", "w'", "N", "from", "left", "lifetime"), COLUMNS, strict=True)
-    head = " ".join(f"{name:>{width}s}" for name, width in names) + " "
-    lines = [head + f"{'68 %':>21s}" + "".join(f"  {model.label}" for model in models)]
-    for one in found:
-        circuit = one.circuit
-        left = f"{one.passages}/{one.replicas}"
-        error = f"{_short(one.low)} to {_short(one.high)}" if one.passages else "at least"
-        chains = "".join(
-            f"  {_short(one.of_chain(model)):>{len(model.label)}s}" for model in models
-        )
-        lines.append(
-            f"{circuit.threshold:2d} {circuit.channel1_length:4g} "
-            f"{circuit.channel2_width:6g} {circuit.number:5d} "
-            f"{'polarised' if one.polarised else 'homogeneous':>11s} {left:>7s} "
-            f"{_short(one.time):>9s} {error:>21s}{chains}"
-        )
-    return "\n".join(lines)
+    rows = [{
+        "T": one.circuit.threshold, "l": f"{one.circuit.channel1_length:g}",
+        "w'": f"{one.circuit.channel2_width:g}", "N": one.circuit.number,
+        "from": "polarised" if one.polarised else "homogeneous",
+        "left": f"{one.passages}/{one.replicas}", "lifetime": _short(one.time),
+        "68 %": f"{_short(one.low)} to {_short(one.high)}" if one.passages else "at least",
+        **{model.label: _short(one.of_chain(model)) for model in models},
+    } for one in found]  # fmt: skip
+    return pd.DataFrame(rows).to_string(index=False)
 
 
 def _short(time: float) -> str:
@@ -160,11 +155,16 @@ def figure_lifetimes(points: xr.Dataset, models: Sequence[Model] = ()) -> Figure
     """Return lifetimes against N, a panel for each T, l and w': marks measured, lines chains."""
     found = measured(points)
     models = models or defaults(points["circuit"].values)
-    print(table(found, models))
     panels: dict[tuple[float, ...], list[Lifetime]] = {}
     for one in found:
         key = tuple(float(getattr(one.circuit, name)) for name in PANEL)
         panels.setdefault(key, []).append(one)
+    if len(panels) > MOST:
+        raise InputError(
+            f"this figure has at most {MOST} panels, of one T, l and w' each, here are "
+            f"{len(panels)}: choose, --select KEY=VALUE ... or data.sel(KEY=VALUE)"
+        )
+    print(listed(found, models))
     several = len({key[2] for key in panels}) > 1
     made = style.figure(max(2.6 * len(panels), 4.6), 3.7)
     axes = made.subplots(1, len(panels), squeeze=False, sharey=True)[0]

@@ -46,7 +46,7 @@ def group_of(data: xr.Dataset, group: str) -> xr.Dataset:
     Only tasks that are in the dataset are read; of those that are not complete all is NaN.
     """
     files = of_files(data, "files")
-    known = files and {"task", "task_status"} <= set(data.variables)
+    known = files and {"task", "task_status"} <= set(data.variables) and data["task"].size
     if not known or data["task"].dtype.kind != "i":  # such as a mean, or after `where`
         told = "of points of it that sel or isel choose"
         raise InputError(f"{group}: of a dataset of open_results or merge, or {told}")

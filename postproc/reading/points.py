@@ -33,6 +33,7 @@ PARAMETERS = (
     "number", "threshold", "threshold2", "urn1_number", "urn_radius", "urn_radius2",
     "channel1_width", "channel1_length", "channel2_width", "channel2_length", "scatterer_count",
 )  # fmt: skip
+OPTIONAL = ("threshold2", "urn_radius2", "scatterer_count")  # where it is of use
 WHOLE = ("number", "threshold", "threshold2", "urn1_number", "scatterer_count")
 FLOWS = ("flow1_12", "flow1_21", "flow2_12", "flow2_21")
 COMPLETE, NOT_ASKED = 0, 3  # values of `task_status`
@@ -91,8 +92,8 @@ def flat(data: xr.Dataset, *needed: str) -> xr.Dataset:
     """Return a dataset with one dimension `point` in place of the scan's keys."""
     if not (isinstance(data, xr.Dataset) and {"task", "number", *needed} <= set(data.variables)):
         raise InputError("data: must be a dataset that postproc.open_results or merge returns")
-    if data.sizes.get("replica", 1) == 0:
-        raise InputError("data: has no replica")
+    if empty := [str(name) for name, size in data["task"].sizes.items() if size == 0]:
+        raise InputError(f"data: is empty along {empty[0]}")
     if "replica" not in data.dims:  # one that was chosen
         by_point = {name for name in data if set(data[name].dims) <= set(data["task"].dims)
                     and name in (*PARAMETERS, "point_status", "scatterers")}  # fmt: skip
@@ -101,6 +102,7 @@ def flat(data: xr.Dataset, *needed: str) -> xr.Dataset:
         data = data.assign({name: data[name].expand_dims("replica", axis=-1) for name in tasks})
     axes = [name for name in data["task"].dims if name != "replica"]
     if axes == ["point"]:
+        data = data.reset_index("point") if "point" in data.indexes else data  # of several keys
         return data.drop_vars("point", errors="ignore")
     if axes:
         return data.stack(point=axes, create_index=False)
@@ -117,7 +119,9 @@ def by_point(data: xr.Dataset) -> xr.Dataset:
     """
     points = flat(data, "task_status")
     known = [name for name in PARAMETERS if name in points]
-    lost = [name for name in known if "replica" in points[name].dims or points[name].isnull().any()]
+    lost = [name for name in PARAMETERS if name not in (*known, *OPTIONAL)]
+    lost += [name for name in known
+             if "replica" in points[name].dims or points[name].isnull().any()]  # fmt: skip
     if lost:
         told = "choose points by sel or isel"
         raise InputError(f"data: {lost[0]} is not known at every point; {told}")

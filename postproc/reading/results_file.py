@@ -31,7 +31,14 @@ NEEDED = ("number", "threshold", "channel1_width", "channel2_width", "current1")
 NUMBERS = ("_FillValue", "flag_values")  # attributes that are no texts
 # What a name is in a few words ends here, and its explanation begins.
 NAME = re.compile(r"[,:;] | (?=\|)")
-ERRORS = ("_error", "_spread")
+ERRORS = {"_replica_error": "standard error over replicas", "_error": "standard error",
+          "_spread": "standard error over replicas"}  # fmt: skip
+SHORT = {
+    "chi_collision": "mass spread at collisions", "polarised_current": "polarised current",
+    **{f"current{channel}": f"net current of channel {channel}" for channel in (1, 2)},
+    **{f"flow{channel}_{way}": f"flow of channel {channel}, urn {way[0]} to {way[1]}"
+       for channel in (1, 2) for way in ("12", "21")},
+}  # fmt: skip
 READABLE = ("0.1.", "0.2.", "0.3.", "0.4.")  # prefixes of the versions whose files are read
 
 
@@ -248,11 +255,11 @@ def _meaning(dataset: h5py.Dataset) -> dict[str, object]:
     for key in ("units", "flag_meanings"):
         if key in dataset.attrs:
             found[key] = text_of(dataset.attrs[key])
-    told = text_of(dataset.attrs.get("long_name", ""))
-    name, *more = NAME.split(told, maxsplit=1)
-    if dataset.name.endswith(ERRORS):
-        name = f"{name}, standard error"
-    found |= {"long_name": name, **({"comment": told} if more else {})}
+    told, own = text_of(dataset.attrs.get("long_name", "")), dataset.name.rpartition("/")[2]
+    ending = next((one for one in ERRORS if own.endswith(one)), "")
+    name = SHORT.get(own.removesuffix(ending), NAME.split(told, maxsplit=1)[0])
+    name += f", {ERRORS[ending]}" if ending else ""
+    found |= {"long_name": name, **({"comment": told} if name != told else {})}
     if found.get("units") == "1":
         del found["units"]
     return found

@@ -103,6 +103,13 @@ def test_a_narrow_channel_2_that_ends_the_battery_is_found_by_direction_too() ->
         replace(closed, number=1000, channel1_length=3.0).states("direction")
 
 
+def test_a_circuit_has_one_theory_and_no_more_particles_than_the_program() -> None:
+    with pytest.raises(InputError, match=r"theory = \['window', 'renewal'\]: must be one name"):
+        Circuit(number=1000, threshold=7).states(["window", "renewal"])
+    with pytest.raises(InputError, match="a whole number from 1 to 200000000"):
+        Circuit(number=200_000_001, threshold=7)
+
+
 def test_values_of_xarray_are_numbers() -> None:
     """As a loop over a coordinate gives them."""
     thresholds = xr.DataArray([3, 7], dims="threshold")
@@ -149,7 +156,7 @@ SQUARE = (1.0, -1.0, 1.0, 1.0, -1.0, 1.0, -1.0, -1.0)
         ({"urn_vertices": BOW}, "allowed: sides that do not cross or touch each other"),
         ({"urn_vertices": (*SQUARE[:2], *SQUARE)}, "allowed: sides that do not cross or touch"),
         ({"urn_vertices": HOOK, "channel1_length": 0.2}, "allowed: corners beside a channel"),
-        ({"number": 10**400}, "allowed: a whole number from 1 to 2147483647"),
+        ({"number": 10**400}, "allowed: a whole number from 1 to 200000000"),
         ({"urn_vertices": [[1, -1], [1, 1, 2]]}, "allowed: two numbers for each"),
         ({"urn_vertices": (1, -60, 1 + 6e-11, 60, -1, 60, -1, -60)}, "below 0, an upright side"),
         ({"number": xr.Dataset({"a": 1})}, "allowed: a whole number from 1"),

@@ -213,7 +213,7 @@ def test_a_key_is_an_option_only_where_its_value_is_refused(
 ) -> None:
     assert call("theory", ["--number", "0", "--threshold", "-1"]) == 2
     said = capsys.readouterr().err
-    assert "--number = 0; allowed: a whole number from 1 to 2147483647; --threshold = -1" in said
+    assert "--number = 0; allowed: a whole number from 1 to 200000000; --threshold = -1" in said
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full here")

@@ -83,13 +83,14 @@ def test_a_figure_is_written(
 
 def test_model_names_the_lengths_and_shows_particles_of_a_run(folder: Path) -> None:
     for given, table, said in (
-        (None, lengths.EXAMPLE, []),
-        (points_of(folder / "time.h5"), Circuit(1000, 2), ["40 of 1000 particles"]),
+        (None, lengths.EXAMPLE, ""),
+        (points_of(folder / "time.h5"), Circuit(1000, 2), "40 of 1000 particles, $t = 0$"),
     ):
         made = lengths.figure_circuit(given)
         (axes,) = made.axes
         texts = [text.get_text() for text in axes.texts if text.get_text()]
-        once = ["$r$", "$w$", "$w'$", "gate 1", "gate 2", "urn 1", "urn 2", *said]
+        once = ["$r$", "$w$", "$w'$", "gate 1", "gate 2", "urn 1", "urn 2"]
+        assert [text.get_text() for text in made.texts] == [said]
         assert sorted(texts) == sorted([*once, *2 * [r"$\ell/2$"], *2 * [r"$\ell'/2$"]])
         assert axes.collections[0].get_offsets().shape == (lengths.SHOWN, 2)
         walls = np.concatenate([line.get_xdata() for line in axes.lines])
@@ -101,7 +102,10 @@ def test_comp05_has_a_panel_a_threshold(folder: Path) -> None:
     made = circuits.figure_flows(files, QUICK[:1])
     averages = [series_of(files, at, 0)[0].mean() for at in range(3)]
     titles = [axes.get_title("left") for axes in made.axes]
-    assert [title for title in titles if title] == ["(a)  $T = 2$", "(b)  $T = 7$", "(c)  $T = 18$"]
+    assert [title for title in titles if title] == [
+        f"({letter})  $T = {threshold}$, replica 0"
+        for letter, threshold in zip("abc", (2, 7, 18), strict=True)
+    ]
     assert labels_of(made)[-4:] == [label for _, _, label in currents.FLOW_LOOK.values()]
     timed = [axes for axes in made.axes if axes.get_xlabel() != "$N_2/N$"]
     starts = [at for at, axes in enumerate(timed) if axes.get_title("left")]

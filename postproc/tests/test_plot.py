@@ -244,6 +244,19 @@ def test_lifetimes_in_axes_of_ones_own_are_of_one_width_and_threshold(
         plot.lifetimes(data, ax=Figure().add_subplot(), theory="window")
 
 
+@pytest.mark.parametrize(
+    ("scan", "said"),
+    [({"urn1_fraction": [0.5, 0.75]}, r"chi = 0\.5 are in neither state: choose"),
+     ({"threshold": list(range(1, 8))}, "at most 6 panels, of one T, l and w' each, here are 7")],
+)  # fmt: skip
+def test_lifetimes_that_have_no_place_are_refused(
+    tmp_path: Path, scan: dict[str, object], said: str
+) -> None:
+    data = postproc.open_results(results_of(tmp_path / "run.h5", scan=scan, **SMALL))
+    with pytest.raises(InputError, match=said):
+        passages.figure_lifetimes(by_point(data))
+
+
 def test_runs_from_two_starts_have_two_labels(tmp_path: Path) -> None:
     scan = {"urn1_fraction": [0.5, 1.0], "threshold": 2, "replicas": 1}
     path = results_of(tmp_path / "starts.h5", scan=scan, **SMALL)
@@ -375,7 +388,15 @@ def test_numbers_of_particles_have_their_ticks_and_theories_marks(tmp_path: Path
             lambda one: postproc.merge([one.where(one["chi"] > 2.0)]),
             "merge: of datasets of open_results, or points",
         ),
-        (lambda one: postproc.table(one.isel(replica=[])), "data: has no replica"),
+        (lambda one: postproc.table(one.isel(replica=[])), "data: is empty along replica"),
+        (lambda one: postproc.table(one.drop_vars("threshold")), "threshold is not known at every"),
+        (lambda one: one.isel(replica=[]).series, "of points of it that sel or isel choose"),
+        (lambda one: plot.curves(one, variable=["chi"]), "no variable .'chi'. of runs"),
+        (lambda one: plot.relaxation(one, variable=["chi"]), "there is no .'chi'."),
+        (
+            lambda one: plot.curves(one, variable="chi", against="current1", theory="window"),
+            "theories are drawn of chi and polarised_current, not of chi against current1",
+        ),
         (lambda one: postproc.mean_error(one["chi"].isel(replica=[])), "there is no replica"),
         (lambda one: plot.curves(one.where(one["chi"] > 2.0)), "is not known at every point"),
     ],

@@ -72,7 +72,7 @@ contains
       //' tasks are complete')
     call list_points(in_two_states(results), 'replicas fall into two states')
     if (allocated(results%point_status)) call list_points(results%point_status &
-      == point_not_precise, 'the precision was not reached')
+      == point_not_precise, 'the precision asks for more than largest_replicas')
     rate = rate_text(real(collisions, dp)/max(seconds, 1.0e-9_dp))//' collisions/s in ' &
       //duration_text(seconds)//' on '//count_text(ranks, 'rank')
     if (ranks > 1) rate = rate//', busy for '//to_text(nint(100.0_dp*busy))//' % of the time'

@@ -40,7 +40,7 @@ BATCHES = 8
 LONGEST = 20.0  # measured time in transients, at most
 EMPTIER = 0.05  # share of the emptier urn at a polarised start if no theory has one
 LEAST = 0.04  # chi by which states differ at least
-POLARISED = 0.15  # chi above which equal urns are called so
+LEAST_SPREAD = 0.15  # chi of the states of equal urns that are compared
 APART = 4.0  # standard errors between different states
 
 
@@ -158,7 +158,7 @@ def stationary_states(circuit: Circuit, effort: Effort | None = None) -> list[Dr
     if circuit.alike:
         walked = walk(circuit, _polarised_share(circuit), given)
         state = _state(walked.fuller_number, walked.polarised_current, number)
-        return [state] if state.mass_spread > POLARISED else []
+        return [state] if state.mass_spread > LEAST_SPREAD else []
     one, two = (float(side.urn_area) for side in circuit.sides)
     found: list[Drawn] = []
     for share in (EMPTIER, two / (one + two), 1.0 - EMPTIER):
