@@ -327,7 +327,7 @@ def _both(value: Any) -> tuple[Any, Any]:  # noqa: ANN401 (a number, or a sequen
     return values[0], values[-1]
 
 
-def _one(theory: object) -> Theory:
+def _one(theory: str) -> Theory:
     """Return the theory of a name; raise `InputError` for several."""
     found = named(theory)
     if len(found) != 1:
