@@ -103,6 +103,13 @@ def test_a_narrow_channel_2_that_ends_the_battery_is_found_by_direction_too() ->
         replace(closed, number=1000, channel1_length=3.0).states("direction")
 
 
+def test_eta_of_memory_is_zero_in_its_states() -> None:
+    """Flows are interpolated; without the states among the places this was 0.07."""
+    circuit = Circuit(number=1000, threshold=[2, 0], urn_radius=[1.0, 0.5], channel2_width=0.3)
+    (state,) = circuit.states("direction")
+    assert circuit.eta(state.urn2_number, "direction") == pytest.approx(0.0, abs=5e-3)
+
+
 def test_a_circuit_has_one_theory_and_no_more_particles_than_the_program() -> None:
     with pytest.raises(InputError, match=r"theory = \['window', 'renewal'\]: must be one name"):
         Circuit(number=1000, threshold=7).states(["window", "renewal"])

@@ -65,6 +65,7 @@ LEAST_SHARE = 1e-3  # of the particles in urns, in the emptier one, down to whic
 EVENLY, FALLING = 10, 10  # points down to a tenth, and from there to `LEAST_SHARE`
 FURTHER, FEWEST = 10.0**-0.5, 1e-12  # step and end of shares below it, until a state is passed
 NEARER, NEAREST = 5, 40  # bisections of the last step towards what channel 2 alone brings, or more
+APART = 1e-3  # of N, least distance of a state from a point of `scan` for flows of its own
 NEXT_TO_EQUAL = 0.02  # distance of the first from equal urns
 
 
@@ -429,8 +430,14 @@ def stationary_states(circuit: Circuit) -> list[State]:
 
 
 def _along(circuit: Circuit, what: Callable[[Held], ArrayLike]) -> tuple[Floats, Floats]:
-    """Return N2 at the points of `scan`, and what is asked there of the urns: (N2, ..., urn)."""
+    """Return N2 at places, and what is asked there of the urns: (N2, ..., urn).
+
+    Places are the points of `scan`, and the states between them, so that eta is 0 there.
+    """
     held = [one for _, one in scan(circuit)]
+    known = np.array([one.in_half[1] for one in held])
+    held += [one for one, _ in held_states(circuit)
+             if np.abs(known - one.in_half[1]).min() > APART * float(circuit.number)]  # fmt: skip
     second, found = np.array([one.in_half[1] for one in held]), np.array(list(map(what, held)))
     if circuit.alike:  # the mirror images
         second = np.concatenate([float(circuit.number) - second[::-1], second])
