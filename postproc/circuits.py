@@ -117,6 +117,11 @@ class Circuit:
         -------
         numpy.ndarray
             Of the same shape; NaN where the theory knows no flow.
+
+        Examples
+        --------
+        >>> Circuit(number=1000, threshold=7).eta([600, 900]).round(2).tolist()
+        [1.54, 2.19]
         """
         known = _one(theory)
         return known.eta(self.model(), urn2_number)
@@ -138,6 +143,12 @@ class Circuit:
             By increasing N2. The first is the homogeneous one; of unequal urns or gates all N2 from
             0 to N are searched. `kind` is "stable" or "unstable" ("neutral": nothing flows),
             `mass_spread` is chi, `net_current` that of channel 1 from urn 1 to urn 2.
+
+        Examples
+        --------
+        >>> state = Circuit(number=1000, threshold=7).states()[-1]
+        >>> round(state.mass_spread, 3), round(state.net_current, 2)
+        (0.937, 0.95)
         """
         if not (isinstance(age, (int, float, np.number)) and age >= 0.0):
             raise InputError(f"age = {age}; allowed: one number from 0 up")
@@ -152,6 +163,11 @@ class Circuit:
 
         There the derivative of eta by N2 at N2 = N/2 changes its sign. NaN: there is none.
         `channel2_width` is not used.
+
+        Examples
+        --------
+        >>> round(Circuit(number=1000, threshold=7).transition_width(), 3)
+        0.08
         """
         own, known = self.model(), _one(theory)
         if known.mixed or not own.alike:
@@ -175,6 +191,12 @@ class Circuit:
         -------
         tuple of numpy.ndarray
             T, and w' of the same shape, NaN where there is no line.
+
+        Examples
+        --------
+        >>> thresholds, widths = Circuit(number=1000, threshold=1).transition_line([2, 7, 18])
+        >>> widths.round(3).tolist()
+        [0.0, 0.08, nan]
         """
         own, known = self.model(), _one(theory)
         given = list(thresholds) if np.iterable(thresholds) else [thresholds]
@@ -195,6 +217,12 @@ class Circuit:
         """Return the mean times in which fluctuations end the homogeneous and polarised state.
 
         In units of length over speed; infinite: a state is never left, 0: there is no such state.
+
+        Examples
+        --------
+        >>> found = Circuit(number=700, threshold=2).lifetimes()
+        >>> f"{found.homogeneous:.2g} {found.polarised:.2g}"
+        '4.1e+10 3.9e+29'
         """
         own, known = self.model(), _one(theory)
         if not own.alike:
@@ -217,6 +245,12 @@ class Circuit:
         -------
         list of matplotlib.lines.Line2D
             One for each theory.
+
+        Examples
+        --------
+        >>> (line,) = Circuit(number=1000, threshold=7).plot_eta()
+        >>> line.get_label()
+        "window (the paper's)"
         """
         from matplotlib import pyplot as plt  # noqa: PLC0415 (not every user draws)
 

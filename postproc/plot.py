@@ -56,6 +56,14 @@ def phase_diagram(
     -------
     matplotlib.collections.QuadMesh
         For a colour bar.
+
+    Examples
+    --------
+    >>> import postproc
+    >>> data = postproc.open_results("map.h5")
+    >>> mesh = phase_diagram(data, theory="window", cmap="magma")
+    >>> mesh.get_array().shape
+    (2, 2)
     """
     points = with_tasks(by_point(data))
     values, _, own = maps.values_of(points, variable)
@@ -94,6 +102,13 @@ def curves(
     -------
     list of matplotlib.container.ErrorbarContainer
         One for each value of the second key.
+
+    Examples
+    --------
+    >>> import postproc
+    >>> drawn = curves(postproc.open_results("map.h5"), variable="chi", theory="window")
+    >>> [one.get_label() for one in drawn]
+    ["$w' = 0.01$", "$w' = 0.05$"]
     """
     points = with_tasks(by_point(data))
     drawn = asked(points, theory)
@@ -126,6 +141,13 @@ def relaxation(
     -------
     list of matplotlib.lines.Line2D
         The mean of each point; the first replica of one whose replicas are in two states.
+
+    Examples
+    --------
+    >>> import postproc
+    >>> data = postproc.open_results("map.h5").sel(channel2_width=0.01)
+    >>> [line.get_label() for line in relaxation(data)]
+    ['$T = 2$', '$T = 7$']
     """
     points = circuits.few_points(by_point(data))
     return circuits.draw_relaxation(_axes(ax), points, asked(points, theory), variable)
@@ -155,6 +177,13 @@ def flows(
     -------
     list of matplotlib.container.ErrorbarContainer
         One for each flow.
+
+    Examples
+    --------
+    >>> import postproc
+    >>> data = postproc.open_results("map.h5").sel(threshold=7, channel2_width=0.01)
+    >>> len(flows(data, theory="window"))
+    4
     """
     points = by_point(data)
     task = task_of(points, 0, replica)
@@ -187,6 +216,14 @@ def scene(
     -------
     list of matplotlib.collections.PathCollection
         One for each colour.
+
+    Examples
+    --------
+    >>> import postproc
+    >>> data = postproc.open_results("map.h5").sel(threshold=7, channel2_width=0.01)
+    >>> drawn = scene(data, snapshot=0)
+    >>> sum(len(one.get_offsets()) for one in drawn)
+    200
     """
     points = by_point(data)
     task = task_of(points, 0, replica)
@@ -218,6 +255,13 @@ def lifetimes(
     -------
     list of matplotlib.container.ErrorbarContainer
         One for each state from which runs began.
+
+    Examples
+    --------
+    >>> import postproc
+    >>> data = postproc.open_results("map.h5").sel(threshold=7, channel2_width=0.01)
+    >>> len(lifetimes(data, theory="window"))
+    1
     """
     points = with_tasks(by_point(data))
     need_only(points, "number", "start")
@@ -248,6 +292,14 @@ def characteristic(
     -------
     list of matplotlib.lines.Line2D
         Those of U and of J U.
+
+    Examples
+    --------
+    >>> import postproc
+    >>> data = postproc.open_results("map.h5").sel(threshold=7)
+    >>> voltage, power = characteristic(data, theory="window")
+    >>> bool((power.get_ydata() == voltage.get_xdata() * voltage.get_ydata()).all())
+    True
     """
     points = with_tasks(by_point(data))
     return circuits.draw_characteristic(_axes(ax), points, asked(points, theory))

@@ -93,11 +93,21 @@ def write_namelist(
     program
         The program that will run it and that lists its keys (see `find_program`).
 
+    Returns
+    -------
+    str
+        The namelist.
+
     Raises
     ------
     ValueError
         A group or key does not exist, or a value cannot be written in a namelist. All problems are
         in the message. Types and bounds are checked by the program.
+
+    Examples
+    --------
+    >>> write_namelist(None, {"particles": {"number": 100}, "gate": {"threshold": 5}}).split()
+    ['&gate', 'threshold', '=', '5', '/', '&particles', 'number', '=', '100', '/']
     """
     if not isinstance(groups, Mapping):
         raise InputError(f"groups = {groups!r}: must be values by group and key")
@@ -160,12 +170,24 @@ def run(
     launcher
         Command that starts several ranks; their number follows it.
 
+    Returns
+    -------
+    pathlib.Path
+        The results file.
+
     Raises
     ------
     ValueError
         The input is invalid, or results of another input exist: the message of the program.
     RunError
         The run failed in part, or was stopped early.
+
+    Examples
+    --------
+    >>> groups = {"particles": {"number": 100}, "gate": {"threshold": 5},
+    ...           "run": {"duration": 100.0}, "output": {"file": "short.h5"}}
+    >>> run(groups, quiet=True).name
+    'short.h5'
     """
     if not isinstance(ranks, Integral) or ranks < 1:
         raise InputError(f"ranks = {ranks!r}: must be a whole number, at least 1")
@@ -214,6 +236,19 @@ def plan(
     """Return tasks and cost of a run; only a calibration of some seconds is run.
 
     Arguments and errors are those of `run`.
+
+    Returns
+    -------
+    Plan
+        `tasks`, how many of them are `pending`, the `seconds` of a processor that these take, and
+        `memory_a_rank` in bytes.
+
+    Examples
+    --------
+    >>> groups = {"particles": {"number": 100}, "gate": {"threshold": 5},
+    ...           "run": {"duration": 100.0}, "scan": {"replicas": 3}}
+    >>> plan(groups).pending
+    3
     """
     words = ["--check", *(["--overwrite"] if overwrite else [])]
     answer = _answer(namelist, words, folder=folder, quiet=True, program=program, start=[])

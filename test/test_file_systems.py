@@ -155,6 +155,15 @@ def test_overwrite_does_not_go_on_from_a_journal_that_it_cannot_see(
     assert "going on: 2 of 2" in run("case.nml", folder=tmp_path).stdout
 
 
+def test_overwrite_keeps_results_where_no_journal_can_begin(lacking: str, tmp_path: Path) -> None:
+    write_case(CASE, tmp_path, scan={"replicas": 2})
+    run("--quiet", "case.nml", folder=tmp_path)
+    away = call_failing(lacking, "mkdir", "out.h5.tasks", errno.EDQUOT)
+    ended = run("--overwrite", "--quiet", "case.nml", folder=tmp_path, environment=away)
+    assert (ended.returncode, "cannot be made: Disk quota exceeded" in ended.stderr) == (1, True)
+    assert "out.h5 is complete" in run("case.nml", folder=tmp_path).stdout
+
+
 def unpublished(folder: Path, lacking: str) -> None:
     """Leave a journal with all results in a folder: the results file could not be read back."""
     write_case(CASE, folder, scan={"replicas": 2})

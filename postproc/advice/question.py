@@ -54,11 +54,23 @@ def advise(
     pilot_seconds
         Processor time that the pilot may take.
 
+    Returns
+    -------
+    Advice
+        `rung`, the theory or engine, with the keys of its run (`replicas`, `duration` ...), the
+        `reason`, and `cpu_seconds`; it prints itself.
+
     Raises
     ------
     InputError
         There is no such quantity, tolerance or time, or no advice on such a table: polygons, discs,
         several points.
+
+    Examples
+    --------
+    >>> found = advise({"particles": {"number": 100}, "gate": {"threshold": 5}}, tolerance=0.1)
+    >>> found.rung
+    'excursion'
     """
     if quantity not in advice.QUANTITIES:
         known = ", ".join(advice.QUANTITIES)

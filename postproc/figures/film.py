@@ -318,11 +318,21 @@ def film(
     verify
         Whether to read the file as a whole and check its digest.
 
+    Returns
+    -------
+    pathlib.Path
+        The film.
+
     Raises
     ------
     InputError
         There are fewer than two snapshots, the film cannot be written, or imageio-ffmpeg, which an
         MP4 needs, is not installed.
+
+    Examples
+    --------
+    >>> print(film("map.h5", "film.gif", point=0, seconds=0.5))
+    film.gif
     """
     if not (isinstance(seconds, (int, float)) and 0.0 < seconds <= 3600.0):
         raise cli.InputError(f"seconds = {seconds} must lie above 0 and up to 3600")

@@ -105,6 +105,14 @@ def open_results(
     InputError
         A `ValueError` of one line: the file is not there, damaged, of another version, or not of
         this program; there is no such theory or group; the theory is not for this table.
+
+    Examples
+    --------
+    >>> data = open_results("map.h5")
+    >>> data.chi.dims, data.tasks
+    (('threshold', 'channel2_width', 'replica'), '8 of 8 tasks are complete')
+    >>> data.sel(threshold=7).series.urn1_number.dims
+    ('channel2_width', 'replica', 'time')
     """
     if not (group is None or (isinstance(group, str) and group in GROUPS)):
         raise InputError(f"there is no group {group!r}; there are {', '.join(GROUPS)}")
@@ -215,6 +223,13 @@ def merge(parts: Iterable[str | Path | xr.Dataset]) -> xr.Dataset:
     InputError
         The tables differ in more than lengths and the number of discs in channel 2: polygons, a
         single urn, equally many discs in other places.
+
+    Examples
+    --------
+    >>> data = open_results("map.h5")
+    >>> both = merge([data.sel(threshold=7), data.sel(threshold=2)])
+    >>> both.threshold.values.tolist(), both.sizes["replica"]
+    ([2, 7], 2)
     """
     if isinstance(parts, (str, Path, xr.Dataset)) or not isinstance(parts, Iterable):
         parts = [parts]

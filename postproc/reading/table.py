@@ -38,7 +38,13 @@ def table(
         The parameters of the points; mean and `_error` over replicas of chi and the currents
         (`mean_error`), NaN where replicas are in two states; `replicas`, how many are complete; of
         each theory `chi`, `polarised_current` and `transition_width` after its name, or `current1`
-        of a single urn.
+        of a single urn. `direction` has no `transition_width` here (`Circuit.transition_line`).
+
+    Examples
+    --------
+    >>> found = table("map.h5", theory="window")
+    >>> found[["threshold", "channel2_width", "replicas", "window_chi"]].round(3).iloc[0].tolist()
+    [2.0, 0.01, 2.0, 0.801]
     """
     data = dataset_of(results)
     data = with_theory(data, [theory] if isinstance(theory, str) else theory)

@@ -38,10 +38,20 @@ def report(
     verify
         Whether to read files as a whole and check their digests.
 
+    Returns
+    -------
+    pathlib.Path
+        The page.
+
     Raises
     ------
     InputError
         There are no results, the page cannot be written, or Bokeh is not installed.
+
+    Examples
+    --------
+    >>> print(report("map.h5", theory="window"))
+    map.html
     """
     points = by_point(dataset_of(results, verify=verify))
     name = of_files(points, "files")[0].rpartition("/")[2].removesuffix(".h5")

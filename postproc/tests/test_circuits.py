@@ -4,25 +4,53 @@ from __future__ import annotations
 
 import doctest
 import math
+import sys
 from dataclasses import replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
 import xarray as xr
+from matplotlib import pyplot as plt
 from matplotlib.figure import Figure
 
-from postproc import Circuit, InputError, circuits
-from postproc.reading import points, residences
+import postproc
+from postproc import Circuit, InputError
+from postproc.tests.runs import results_of
 from postproc.theory.models import MODELS
 from postproc.theory.states import State
 
+if TYPE_CHECKING:
+    from pathlib import Path
 
-@pytest.mark.parametrize("module", [circuits, points, residences])
-def test_examples_print_what_they_say(module: Any) -> None:
-    found = doctest.testmod(module)
-    assert found.attempted > 0
-    assert found.failed == 0
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    made = tmp_path_factory.mktemp("examples")
+    results_of(made / "map.h5", particles={"number": 200}, run={"duration": 200.0},
+               scan={"threshold": [2, 7], "channel2_width": [0.01, 0.05]})  # fmt: skip
+    return made
+
+
+@pytest.mark.parametrize("name", [one for one in postproc._PLACES if not one.endswith("Error")])
+def test_every_public_name_has_an_example_that_prints_what_it_says(
+    name: str, folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Functions and methods, in a folder with results."""
+    monkeypatch.chdir(folder)
+    given = getattr(postproc, name)
+    module = sys.modules[postproc._PLACES[name]]
+    parts = [vars(given)[one] for one in getattr(given, "__all__", ())] or [given]
+    parts += [one for key, one in vars(given).items() if key[0] != "_" and isinstance(given, type)
+              and callable(one) and key != "model"]  # fmt: skip
+    for part in parts:
+        with plt.rc_context():
+            plt.figure()
+            (example,) = doctest.DocTestFinder(recurse=False).find(part, name, globs=vars(module))
+            found = doctest.DocTestRunner().run(example)
+            plt.close("all")
+        assert found.attempted > 0, part
+        assert found.failed == 0, part
 
 
 @pytest.mark.parametrize(

@@ -6,7 +6,7 @@ module battery_startup
   use battery_communicator, only: communicator_type, share_error, share_words
   use battery_checksum_footer, only: check_discardable
   use battery_error, only: error_type, fatal_error, exit_failure, exit_bad_input
-  use battery_files, only: file_exists, remove_file, publish_file, file_stamp_type
+  use battery_files, only: file_exists, make_folder, remove_file, publish_file, file_stamp_type
   use battery_findings, only: findings_type, findings_text
   use battery_journal, only: journal_type, find_journal, find_task_ids, begin_journal, &
     join_journal, states_in, remove_journal
@@ -149,7 +149,8 @@ contains
     end associate
   end function pending_tasks
 
-  !> Removes the results file, and the journal whether or not it can be read.
+  !> Removes the results file, and the journal whether or not it can be read. A folder for the next
+  !> journal is made before: where that is not possible the results stay.
   subroutine discard_output(plan, error)
     type(plan_type), intent(in) :: plan
     !> They are something else, or cannot be removed.
@@ -157,6 +158,7 @@ contains
 
     call check_discardable(plan%file, error)
     if (.not. allocated(error)) call remove_journal(journal_folder(plan), error)
+    if (.not. allocated(error)) call make_folder(journal_folder(plan), error)
     if (.not. allocated(error)) call remove_file(plan%file, error)
   end subroutine discard_output
 

@@ -1,7 +1,7 @@
 /* A file system that lacks something: loaded before a program (LD_PRELOAD), it makes `flock`, and `fsync` of a
    folder, fail with the error numbers in the variables NO_FLOCK and NO_FOLDER_SYNC, and the call that NO_CALL
-   names (read, pread64, opendir, readdir, stat, lstat, access) with that in NO_CALL_WITH, from the NO_CALL_AFTER-th such
-   call on, of paths that end with NO_CALL_OF. With HANGUP_HANDLER set, a handler of SIGHUP is there before the
+   names (read, pread64, opendir, readdir, stat, lstat, access, mkdir) with that in NO_CALL_WITH, from the
+   NO_CALL_AFTER-th such call on, of paths that end with NO_CALL_OF. With HANGUP_HANDLER set, a handler of SIGHUP is there before the
    program begins, as UCX sets one. */
 #define _GNU_SOURCE
 #include <dirent.h>
@@ -89,4 +89,8 @@ int lstat(const char *path, struct stat *found) {
 
 int access(const char *path, int mode) {
   return fails("access", path) ? -1 : NEXT(int (*)(const char *, int), "access")(path, mode);
+}
+
+int mkdir(const char *path, mode_t mode) {
+  return fails("mkdir", path) ? -1 : NEXT(int (*)(const char *, mode_t), "mkdir")(path, mode);
 }
