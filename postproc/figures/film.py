@@ -103,18 +103,8 @@ def flown(circuit: Circuit, snapshot: Snapshot, after: float) -> tuple[Floats, F
     for inside, half in ((narrow, half1), (beyond & (half2 > 0.0), half2)):
         folded = np.abs(np.mod(y + half, 4.0 * half) - 2.0 * half) if half > 0.0 else y
         y = np.where(inside, half - folded, y) if half > 0.0 else y
-    if circuit.outline is not None:
-        x, y = _stopped_at_walls(circuit, snapshot, (x, y), ~narrow & ~beyond)
-        return _beside_scatterers(circuit, _over_the_line(circuit, x), y)
-    far = of_side(circuit, snapshot.x, lambda side: side.urn_centre)
-    radius = of_side(circuit, snapshot.x, lambda side: side.urn_radius)
-    centre = np.sign(snapshot.x) * far
-    away = np.hypot(x - centre, y)
-    mouth = np.where(np.abs(x) < far, half1, half2)
-    out = ~narrow & ~beyond & (away > radius) & (np.abs(y) > mouth)
-    shrink = np.where(out, radius / np.where(away > 0.0, away, 1.0), 1.0)
-    x = np.where(out, centre + (x - centre) * shrink, x)
-    return _beside_scatterers(circuit, _over_the_line(circuit, x), y * shrink)
+    x, y = _stopped_at_walls(circuit, snapshot, (x, y), ~narrow & ~beyond)
+    return _beside_scatterers(circuit, _over_the_line(circuit, x), y)
 
 
 def _mouth(circuit: Circuit, x: Floats) -> Floats:
@@ -132,20 +122,23 @@ def _over_the_line(circuit: Circuit, x: Floats) -> Floats:
 def _stopped_at_walls(
     circuit: Circuit, snapshot: Snapshot, flown_to: tuple[Floats, Floats], in_urn: NDArray[np.bool_]
 ) -> tuple[Floats, Floats]:
-    """Return the ends of flights that stop at the walls of a polygon, by bisection."""
+    """Return the ends of flights that stop at the walls of urns, by bisection."""
     start = np.column_stack([snapshot.x, snapshot.y])
     end = np.column_stack(flown_to)
     for way, side in zip((1.0, -1.0), circuit.sides, strict=True):
-        centre = [float(side.urn_centre), 0.0]
-        path = Outline((outlines.centred(side.outline) - centre) * [way, 1.0])
+        centre = float(side.urn_centre)
+        if side.outline is None:
+            urn = Outline.circle((-way * centre, 0.0), float(side.urn_radius))
+        else:
+            urn = Outline((outlines.centred(side.outline) - [centre, 0.0]) * [way, 1.0])
         mouth = np.abs(end[:, 1]) <= 0.5 * np.where(
-            np.abs(end[:, 0]) < centre[0], circuit.channel1_width, circuit.channel2_width
+            np.abs(end[:, 0]) < centre, circuit.channel1_width, circuit.channel2_width
         )
-        out = in_urn & (way * snapshot.x < 0.0) & ~mouth & ~path.contains_points(end)
+        out = in_urn & (way * snapshot.x < 0.0) & ~mouth & ~urn.contains_points(end)
         least, most = np.zeros(start.shape[0]), np.ones(start.shape[0])
         for _ in range(HALVINGS):
             middle = 0.5 * (least + most)
-            inside = path.contains_points(start + (end - start) * middle[:, None])
+            inside = urn.contains_points(start + (end - start) * middle[:, None])
             least, most = np.where(inside, middle, least), np.where(inside, most, middle)
         end = np.where(out[:, None], start + (end - start) * least[:, None], end)
     return end[:, 0], end[:, 1]
