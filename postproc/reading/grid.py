@@ -27,7 +27,7 @@ from postproc.reading.points import (
     TWO_STATES,
     UNDECIDED,
     by_point,
-    flat,
+    flat_results,
     mean_error,
     of_files,
 )
@@ -301,7 +301,7 @@ def _tasks(given: Sequence[xr.Dataset]) -> tuple[pd.DataFrame, list[str]]:
     fractions = [name for name in FRACTIONS.values() if all(name in one.dims for one in given)]
     frames, files = [], 0
     for one in given:
-        rows = flat(one, "task_status", "seed")
+        rows = flat_results(one, "seed")
         if rows["task_status"].dtype.kind != "i":  # such as after `where`
             raise InputError(
                 "merge: of datasets of open_results, or points that sel or isel choose"

@@ -88,10 +88,13 @@ def mean_error(values: xr.DataArray, own_error: xr.DataArray | None = None) -> x
     return xr.Dataset({"mean": values.mean("replica"), "error": scatter, "replicas": count})
 
 
-def flat(data: xr.Dataset, *needed: str) -> xr.Dataset:
+def flat(data: xr.Dataset) -> xr.Dataset:
     """Return a dataset with one dimension `point` in place of the scan's keys."""
-    if not (isinstance(data, xr.Dataset) and {"task", "number", *needed} <= set(data.variables)):
+    if not (isinstance(data, xr.Dataset) and {"task", "number"} <= set(data.variables)):
         raise InputError("data: must be a dataset that postproc.open_results or merge returns")
+    others = set(data["task"].dims) - {"point", "replica", *PARAMETERS, *FRACTIONS.values()}
+    if others:
+        raise InputError(f"data: {min(map(str, others))} is no key of a scan; merge joins results")
     if empty := [str(name) for name, size in data["task"].sizes.items() if size == 0]:
         raise InputError(f"data: is empty along {empty[0]}")
     if "replica" not in data.dims:  # one that was chosen
@@ -109,6 +112,21 @@ def flat(data: xr.Dataset, *needed: str) -> xr.Dataset:
     return data.expand_dims("point")
 
 
+def flat_results(data: xr.Dataset, *needed: str) -> xr.Dataset:
+    """Return `flat` of a dataset with all parameters, how tasks ended, and what else is needed."""
+    points = flat(data)
+    for name in (*PARAMETERS, "task_status", *needed):
+        if name in OPTIONAL and name not in points:
+            continue
+        of_points = name in points and "replica" not in points[name].dims
+        if name in PARAMETERS and not (of_points and points[name].notnull().all()):
+            told = "choose points by sel or isel"
+            raise InputError(f"data: {name} is not known at every point; {told}")
+        if name not in points:
+            raise InputError("data: must be a dataset that postproc.open_results or merge returns")
+    return points
+
+
 def by_point(data: xr.Dataset) -> xr.Dataset:
     """Return a dataset with the dimension `point`, and what is known of each point and task.
 
@@ -117,14 +135,8 @@ def by_point(data: xr.Dataset) -> xr.Dataset:
     may be unequal; `two_states`, whether replicas are in two (`_two_states`), so that they have no
     mean; and of each task `asked`, whether it was requested, and `complete`.
     """
-    points = flat(data, "task_status")
+    points = flat_results(data)
     known = [name for name in PARAMETERS if name in points]
-    lost = [name for name in PARAMETERS if name not in (*known, *OPTIONAL)]
-    lost += [name for name in known
-             if "replica" in points[name].dims or points[name].isnull().any()]  # fmt: skip
-    if lost:
-        told = "choose points by sel or isel"
-        raise InputError(f"data: {lost[0]} is not known at every point; {told}")
     keys = [str(name) for name in data["task"].dims if name not in ("replica", "point")] or known
     size, status = points.sizes["point"], points["task_status"]
     columns = {name: ("point", np.broadcast_to(points[name].values, size))

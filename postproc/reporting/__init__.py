@@ -54,7 +54,7 @@ def report(
     map.html
     """
     points = by_point(dataset_of(results, verify=verify))
-    name = of_files(points, "files")[0].rpartition("/")[2].removesuffix(".h5")
+    name = (of_files(points, "files") or ["results"])[0].rpartition("/")[2].removesuffix(".h5")
     path = cli.path_of(f"{name}.html" if file is None else file, "file")
     cli.file_to_write(path, "HTML page")
     models = defaults(points["circuit"].values) if theory is None else asked(points, theory)
