@@ -138,7 +138,8 @@ contains
         if (foreign /= '') exit
         before = problem
         ! It may be the names of columns.
-        if (count == 1) head = 1
+        if (count == 1 .and. verify(text(first:last - 1), blanks//',.+-0123456789deDE') > 0) &
+          head = 1
       else if (count <= number) then
         state(3:) = state(3:)/hypot(state(3), state(4))
         particles%x(count) = state(1)
