@@ -458,6 +458,16 @@ def test_the_command_for_all_points_can_be_typed(tmp_path: Path) -> None:
     assert len(typed.stdout.splitlines()) == 1 + 13
 
 
+def test_series_of_a_run_of_collisions_have_their_last_entry(tmp_path: Path) -> None:
+    """Its end falls on that of an interval, but for rounding."""
+    length = {"engine": "'collision'", "collisions": "5000"}
+    write(tmp_path, particles={"number": "60", "seed": "1"}, run=length,
+          output={"file": "'out.h5'", "series_interval": "1"})  # fmt: skip
+    assert run("case.nml", folder=tmp_path).returncode == 0
+    with h5py.File(tmp_path / "out.h5") as file:
+        assert file["series/time"][-1] == np.floor((1.0 + 1e-12) * file["time"][0, 0])
+
+
 def test_a_stopped_scan_says_how_to_see_its_points(tmp_path: Path) -> None:
     """Tasks go replica by replica: at first no point has two, of which there would be a mean."""
     scan = {"threshold_range": "1, 8, 8", "replicas": "2"}

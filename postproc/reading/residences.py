@@ -20,15 +20,15 @@ if TYPE_CHECKING:
 def residences(series: xr.Dataset, *, low: float = 0.2, high: float = 0.7) -> pd.DataFrame:
     """Return how long runs stay in each state.
 
-    A polarised state begins where (N1 - N2)/N gets above `high` or below -`high`, and ends where
-    its size falls to `low`; then the homogeneous state begins. So short recrossings do not count.
+    A polarised state begins where |N1 - N2|/N reaches `high`, and ends where it falls to `low`;
+    then the homogeneous state begins. So short recrossings do not count.
 
     Parameters
     ----------
     series
         Those of a dataset, `data.series`.
     low, high
-        Of (N1 - N2)/N, 0 < low < high < 1.
+        Of |N1 - N2|/N, 0 < low < high < 1.
 
     Returns
     -------
@@ -59,7 +59,7 @@ def residences(series: xr.Dataset, *, low: float = 0.2, high: float = 0.7) -> pd
         for place, replica in enumerate(points["replica"].values.tolist()):
             first = np.asarray(one["urn1_number"].isel(replica=place), float)
             known = np.isfinite(first) & (first >= 0.0)
-            spread = 2.0 * first[known] / about["number"] - 1.0
+            spread = (2.0 * first[known] - about["number"]) / about["number"]  # rounded once
             for state, start, duration, ended in _stays(time[known], spread, low, high):
                 rows.append({**about, "replica": replica, "state": state, "start": start,
                              "duration": duration, "ended": ended})  # fmt: skip

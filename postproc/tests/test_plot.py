@@ -659,6 +659,14 @@ def test_series_come_with_a_part_of_the_dataset(
     assert (ends["start"] + ends["duration"]).unique().tolist() == [100.0]
 
 
+def test_urns_are_alike_at_the_bounds_of_states() -> None:
+    """Where |N1 - N2|/N is 0.9 to the last digit."""
+    first = xr.DataArray([[95.0, 95.0], [5.0, 5.0]], dims=("replica", "time"))
+    data = {"urn1_number": first, "number": 100, "task": ("replica", [0, 1])}
+    stays = postproc.residences(xr.Dataset(data, {"time": [1.0, 2.0]}), high=0.9)
+    assert stays["state"].tolist() == [1, -1]
+
+
 def test_merged_results_have_their_series_each_to_its_end(tmp_path: Path) -> None:
     paths = [results_of(tmp_path / f"{one}.h5", scan={"replicas": 1}, run={"duration": one},
                         particles={"number": 200, "seed": one}) for one in (50, 90)]  # fmt: skip

@@ -263,6 +263,7 @@ contains
     if (exact >= target_collisions(simulation) .and. .not. simulation%observer%measuring) &
       call end_transient(simulation, exact)
     if (exact >= simulation%setup%collisions) then
+      call end_series(simulation%observer, simulation%elapsed)
       simulation%collisions = exact
       simulation%done = .true.
     end if
