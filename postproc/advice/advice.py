@@ -37,6 +37,7 @@ from postproc.advice import transients
 from postproc.cli import InputError
 from postproc.progress import doing
 from postproc.reading.grid import open_results
+from postproc.reading.points import by_point
 from postproc.running import RunError, plan, run
 from postproc.theory.circuit import gate_load
 from postproc.theory.models import MODELS, ancestry
@@ -61,6 +62,7 @@ NEAR = 1.1  # factor by which a pilot's transient may be shorter than its own re
 LARGE = 0.75  # chi below which the circuit may be close to a transition
 MEASURED = 2.0  # transients that a replica measures
 FEWEST = 4  # replicas of advised runs
+OUTLYING = 7.0  # standard over median deviation, beyond which some are far from most; 1.5 if normal
 START_SHARE = 0.05  # share of urn 1 at the start
 SCAN = 8.0  # number of states that a theory computes for its transition, about
 PATIENCE = 5.0  # s, limit for a finer theory, which shows whether errors cancel
@@ -219,9 +221,16 @@ class Outcome:
 
 
 def read(file: Path, quantity: str) -> Outcome:
-    """Return the results of runs from their file."""
+    """Return the results of runs; raise `InputError` where these leave their state."""
     data = open_results(file)
     chi, seconds = np.atleast_2d(data["chi"]), float(data["cpu_seconds"].sum())
+    away = chi - np.median(chi)
+    few = np.std(away) > OUTLYING * np.median(abs(away))
+    if quantity != "transition" and (few or by_point(data)["two_states"].any()):
+        raise InputError(
+            f"the runs of {quantity} have no mean: some leave the state in which they begin, "
+            "see lifetimes; other values of urn1_number, or longer runs, may be in one state"
+        )
     if quantity == "transition":
         value, scatter = transition_of_runs(np.atleast_1d(data["threshold"]), chi)
     else:
@@ -459,7 +468,8 @@ def advise(
     cost = replicas * (found.transient + found.measured) * found.per_time
     error = found.error / math.sqrt(REPLICAS)
     needed = (
-        f"A pilot of {REPLICAS} runs has {found.value:.4g} +- {error:.1g}, "
+        f"A pilot of {REPLICAS} runs from {start} of {circuit.number} in urn 1 has "
+        f"{found.value:.4g} +- {error:.1g}, "
         f"each scatters by {found.error / abs(found.value):.2g} of it"
     )
     if found.lacking:

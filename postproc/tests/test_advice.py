@@ -16,6 +16,7 @@ from postproc.advice.advice import Outcome, Pilot
 from postproc.advice.question import advise, circuit_of
 from postproc.cli import InputError
 from postproc.tests.commands import call
+from postproc.tests.runs import BARE, edited, results_of
 from postproc.theory.circuit import Circuit
 from postproc.theory.models import MODELS
 
@@ -335,3 +336,23 @@ def test_a_current_is_that_of_the_state_with_this_chi_and_has_its_sign() -> None
     found, _ = advice.theory_says(back, MODELS["renewal"], "polarised_current", math.nan)
     assert found == pytest.approx(-0.411, abs=0.001)
     assert transients.missing(Circuit(500, 5, channel2_width=1.5), 0.1, 10.0, 10.0) == 0.0
+
+
+@pytest.mark.parametrize(
+    ("chi", "has_mean"),
+    [([0.86, 0.87, 0.86, 0.85, 0.87, 0.86, 0.85, 0.88], True),
+     ([0.86, 0.87, 0.86, 0.85, 0.87, 0.86, 0.85, 0.28], False),
+     ([0.86, 0.87, 0.05, 0.06, 0.87, 0.06, 0.05, 0.86], False)],
+)  # fmt: skip
+def test_runs_that_leave_their_state_have_no_mean(
+    tmp_path: Path, chi: list[float], *, has_mean: bool
+) -> None:
+    path = results_of(tmp_path / "run.h5", particles={"number": 20}, run={"duration": 10.0},
+                      scan={"threshold": 2, "replicas": 8}, output=BARE)  # fmt: skip
+    with edited(path) as file:
+        file["chi"][0] = chi
+    if has_mean:
+        assert advice.read(path, "chi").value == pytest.approx(np.mean(chi))
+    else:
+        with pytest.raises(InputError, match="some leave the state in which they begin"):
+            advice.read(path, "chi")
