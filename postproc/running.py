@@ -56,8 +56,12 @@ class RunError(RuntimeError):
 
     def __init__(self, code: int, message: str) -> None:
         """Store the exit code and the message of the program."""
-        super().__init__(message)
+        super().__init__(code, message)  # both, with which another process makes it again
         self.code = code
+
+    def __str__(self) -> str:
+        """Return the message."""
+        return str(self.args[1])
 
 
 def find_program(program: str | Path | None = None) -> Path:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import os
+import pickle
 import signal
 import subprocess
 import sys
@@ -284,4 +285,6 @@ def test_a_run_that_stops_early_says_so(tmp_path: Path) -> None:
     with pytest.raises(RunError, match="stopped early") as caught:
         postproc.run(long, folder=tmp_path, quiet=True)
     assert caught.value.code == 3
+    again = pickle.loads(pickle.dumps(caught.value))  # as pools of processes do
+    assert (str(again), again.code) == (str(caught.value), 3)
     assert postproc.open_results(tmp_path / "it's.h5").attrs["status"] == "partial"
