@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import errno
 import logging
+import os
 import subprocess
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -283,7 +285,8 @@ def write(scenes: Scenes, seconds: float, path: Path) -> None:
                 stage.show(float(time), flash_time)
                 writer.grab_frame()
     except subprocess.CalledProcessError as problem:
-        *_, reason = (problem.stderr.strip() or "ffmpeg failed").splitlines()
+        lines, full = problem.stderr.splitlines() or ["ffmpeg failed"], os.strerror(errno.ENOSPC)
+        reason = next((one for one in lines if full in one), lines[-1])
         raise cli.InputError(f"cannot write {path}: {reason}") from problem
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import shutil
+import subprocess
 import sys
 from typing import TYPE_CHECKING
 
@@ -369,6 +370,18 @@ def test_a_film_that_cannot_be_written(
     (line,) = capsys.readouterr().err.strip().splitlines()
     assert f"film.{kind}: " in line
     assert "is a folder" in line
+
+
+def test_of_what_ffmpeg_says_a_full_disk_is_the_reason(
+    filmed: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refused(*_: object) -> None:
+        said = "header: No space left on device\nNothing was written, no packets.\n"
+        raise subprocess.CalledProcessError(1, "ffmpeg", stderr=said)
+
+    monkeypatch.setattr(film.FFMpegWriter, "saving", refused)
+    with pytest.raises(InputError, match=r"film\.mp4: header: No space left on device"):
+        film.film(filmed, tmp_path / "film.mp4")
 
 
 @pytest.mark.parametrize(("command", "package"), [("report", "bokeh"), ("film", "imageio_ffmpeg")])

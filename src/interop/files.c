@@ -155,12 +155,19 @@ int battery_has_stamp(const char *path, const int64_t seen[5]) {
   return memcmp(now, seen, sizeof now) == 0;
 }
 
+/* Whether a name refers to a file. */
+static int is_file_of(const char *path, const struct stat *file) {
+  struct stat found;
+  return lstat(path, &found) == 0 && found.st_dev == file->st_dev && found.st_ino == file->st_ino;
+}
+
 /* Renames a file to a name that no file has, or only the file with the given identity; -1: another
-   file has it. */
+   file has it. A file server may rename it and the answer be lost, so that the call fails. */
 int battery_put_in_place(const char *old, const char *new, const int64_t seen[5]) {
   const int64_t nothing[5] = {0};
   int64_t now[5] = {0};
-  struct stat found;
+  struct stat found, mine;
+  if (lstat(old, &mine) != 0) return errno;
   /* It is opened, since NFS and sshfs answer `lstat` from what they knew some seconds ago; `open`
      makes them ask the server. */
   int descriptor = open(new, O_RDONLY | O_NOFOLLOW | O_NONBLOCK | O_CLOEXEC);
@@ -179,12 +186,14 @@ int battery_put_in_place(const char *old, const char *new, const int64_t seen[5]
     (void)!chmod(old, mode);
 #ifdef RENAME_NOREPLACE
   } else {
-    if (renameat2(AT_FDCWD, old, AT_FDCWD, new, RENAME_NOREPLACE) == 0) return 0;
-    if (errno == EEXIST) return -1;
+    int status = renameat2(AT_FDCWD, old, AT_FDCWD, new, RENAME_NOREPLACE) == 0 ? 0 : errno;
+    if (status == 0 || is_file_of(new, &mine)) return 0;
+    if (status == EEXIST) return -1;
     /* Some file systems do not support this. */
 #endif
   }
-  return rename(old, new) == 0 ? 0 : errno;
+  status = rename(old, new) == 0 ? 0 : errno;
+  return is_file_of(new, &mine) ? 0 : status;
 }
 
 /* Opens a file or a pipe for reading, without waiting for a writer; negative: an error. */

@@ -1,8 +1,8 @@
 /* A file system that lacks something: loaded before a program (LD_PRELOAD), it makes `flock`, and `fsync` of a
    folder, fail with the error numbers in the variables NO_FLOCK and NO_FOLDER_SYNC, and the call that NO_CALL
    names (read, pread64, opendir, readdir, stat, lstat, access, mkdir) with that in NO_CALL_WITH, from the
-   NO_CALL_AFTER-th such call on, of paths that end with NO_CALL_OF. With HANGUP_HANDLER set, a handler of SIGHUP is there before the
-   program begins, as UCX sets one. */
+   NO_CALL_AFTER-th such call on, of paths that end with NO_CALL_OF; a renameat2 so named is done before. With
+   HANGUP_HANDLER set, a handler of SIGHUP is there before the program begins, as UCX sets one. */
 #define _GNU_SOURCE
 #include <dirent.h>
 #include <dlfcn.h>
@@ -93,4 +93,9 @@ int access(const char *path, int mode) {
 
 int mkdir(const char *path, mode_t mode) {
   return fails("mkdir", path) ? -1 : NEXT(int (*)(const char *, mode_t), "mkdir")(path, mode);
+}
+
+int renameat2(int from, const char *old, int into, const char *new, unsigned int how) {
+  int done = NEXT(int (*)(int, const char *, int, const char *, unsigned int), "renameat2")(from, old, into, new, how);
+  return fails("renameat2", new) ? -1 : done;
 }
