@@ -20,15 +20,15 @@ if TYPE_CHECKING:
 def residences(series: xr.Dataset, *, low: float = 0.2, high: float = 0.7) -> pd.DataFrame:
     """Return how long runs stay in each state.
 
-    A polarised state begins where |N1 - N2|/N reaches `high`, and ends where it falls to `low`;
-    then the homogeneous state begins. So short recrossings do not count.
+    A polarised state begins where chi, the size of (N1 - N2)/N, reaches `high`, and ends where it
+    falls to `low`; then the homogeneous state begins. So short recrossings do not count.
 
     Parameters
     ----------
     series
         Those of a dataset, `data.series`.
     low, high
-        Of |N1 - N2|/N, 0 < low < high < 1.
+        Of chi, 0 < low < high < 1.
 
     Returns
     -------
