@@ -58,7 +58,7 @@ def advise(
     -------
     Advice
         `rung`, the theory or engine, with the keys of its run (`replicas`, `duration` ...), the
-        `reason`, and `cpu_seconds`; it prints itself.
+        `reason`, and `cpu_seconds`.
 
     Raises
     ------
