@@ -87,6 +87,8 @@ def test_units_meanings_and_namelist_come_along(tmp_path: Path) -> None:
         assert one.attrs.get("units") != "1"
     assert data["chi"].attrs["long_name"] == "mass spread"
     assert data["chi_error"].attrs["long_name"] == "mass spread, standard error"
+    assert data["flow1_12"].attrs["long_name"] == "flow of channel 1, urn 1 to 2"
+    assert "middle line" in data["flow1_12"].attrs["comment"]
     assert data["channel1_width"].attrs["units"] == "length"
     assert len(data.to_dataframe()) == data["task"].size
     assert data.attrs["namelist"] == (tmp_path / "in.nml").read_text(encoding="utf-8").rstrip()

@@ -176,8 +176,8 @@ def values_of(points: xr.Dataset, name: str) -> tuple[Floats, str, dict[str, obj
 
     Raises `InputError` if there is no such variable, or no point has a mean.
     """
-    drawn = isinstance(name, str) and (name in LOOKS or name in points)
-    if not drawn or not (name in LOOKS or "replica" in points[name].dims):
+    of_runs = isinstance(name, str) and name in points and "replica" in points[name].dims
+    if not (of_runs or name in [*LOOKS]):
         raise cli.InputError(f"there is no variable {name!r} of runs to draw, such as chi")
     about = points[name].attrs if name in points else {}
     label, look = LOOKS.get(name, (about.get("long_name", name), {}))

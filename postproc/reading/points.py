@@ -88,9 +88,9 @@ def mean_error(values: xr.DataArray, own_error: xr.DataArray | None = None) -> x
     return xr.Dataset({"mean": values.mean("replica"), "error": scatter, "replicas": count})
 
 
-def flat(data: xr.Dataset) -> xr.Dataset:
+def flat(data: xr.Dataset, *needed: str) -> xr.Dataset:
     """Return a dataset with one dimension `point` in place of the scan's keys."""
-    if not (isinstance(data, xr.Dataset) and {"task", "number"} <= set(data.variables)):
+    if not (isinstance(data, xr.Dataset) and {"task", "number", *needed} <= set(data.variables)):
         raise InputError("data: must be a dataset that postproc.open_results or merge returns")
     others = set(data["task"].dims) - {"point", "replica", *PARAMETERS, *FRACTIONS.values()}
     if others:
@@ -114,16 +114,13 @@ def flat(data: xr.Dataset) -> xr.Dataset:
 
 def flat_results(data: xr.Dataset, *needed: str) -> xr.Dataset:
     """Return `flat` of a dataset with all parameters, how tasks ended, and what else is needed."""
-    points = flat(data)
-    for name in (*PARAMETERS, "task_status", *needed):
+    points = flat(data, "task_status", *needed)
+    for name in PARAMETERS:
         if name in OPTIONAL and name not in points:
             continue
-        of_points = name in points and "replica" not in points[name].dims
-        if name in PARAMETERS and not (of_points and points[name].notnull().all()):
+        if name not in points or "replica" in points[name].dims or points[name].isnull().any():
             told = "choose points by sel or isel"
             raise InputError(f"data: {name} is not known at every point; {told}")
-        if name not in points:
-            raise InputError("data: must be a dataset that postproc.open_results or merge returns")
     return points
 
 

@@ -186,7 +186,7 @@ int battery_put_in_place(const char *old, const char *new, const int64_t seen[5]
     (void)!chmod(old, mode);
 #ifdef RENAME_NOREPLACE
   } else {
-    int status = renameat2(AT_FDCWD, old, AT_FDCWD, new, RENAME_NOREPLACE) == 0 ? 0 : errno;
+    status = renameat2(AT_FDCWD, old, AT_FDCWD, new, RENAME_NOREPLACE) == 0 ? 0 : errno;
     if (status == 0 || is_file_of(new, &mine)) return 0;
     if (status == EEXIST) return -1;
     /* Some file systems do not support this. */
