@@ -14,17 +14,15 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.animation import FFMpegWriter, PillowWriter
 from matplotlib.patches import Rectangle
-from matplotlib.path import Path as Outline
 
 from postproc import cli
 from postproc.figures import style
 from postproc.figures.currents import binned
-from postproc.figures.scene import counted_by, draw_table, of_side
+from postproc.figures.scene import counted_by, draw_table
 from postproc.progress import each
 from postproc.reading.grid import dataset_of
 from postproc.reading.groups import group_of, series_of, snapshots_of
 from postproc.reading.points import by_point, files_of, remark, say, task_of
-from postproc.theory import outlines
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -42,10 +40,8 @@ SECONDS = 30.0  # longest film
 RATE = 25  # frames a second
 DOTS = 100  # dots per inch
 ENCODED = ["-preset", "veryfast", "-crf", "23", "-pix_fmt", "yuv420p", "-movflags", "+faststart"]
-CLOSE = 0.6  # snapshots closer than this in time are joined by straight flight
 FLASH = 6  # frames that a flash lasts
 LONGEST_FLASH = 0.5  # longest flash in simulated time
-HALVINGS = 20  # bisections of a flight, to find its end at a wall
 
 # it repeats what ffmpeg says of an error, which is in ours
 logging.getLogger("matplotlib.animation").setLevel(logging.ERROR)
@@ -89,93 +85,15 @@ def read_scenes(points: xr.Dataset, point: int, replica: int) -> Scenes:
     return scenes
 
 
-def flown(circuit: Circuit, snapshot: Snapshot, after: float) -> tuple[Floats, Floats]:
-    """Return the positions a short time after a snapshot, in straight flight.
+def snapshots_shown(count: int, seconds: float) -> NDArray[np.int_]:
+    """Return which of so many snapshots each frame shows, counted from 0.
 
-    In a channel y is folded between the walls; in an urn a flight stops at the wall. A particle
-    that crosses the periodic line enters at the other end.
-    """
-    x, y = snapshot.x + snapshot.ux * after, snapshot.y + snapshot.uy * after
-    narrow = np.abs(snapshot.x) <= 0.5 * circuit.channel1_length
-    half1, half2 = 0.5 * circuit.channel1_width, 0.5 * circuit.channel2_width
-    if circuit.outline is not None:  # an urn may reach over the channel
-        narrow &= np.abs(snapshot.y) <= half1
-    beyond = np.abs(snapshot.x) > _mouth(circuit, snapshot.x)
-    beyond &= np.abs(snapshot.y) <= half2
-    for inside, half in ((narrow, half1), (beyond & (half2 > 0.0), half2)):
-        folded = np.abs(np.mod(y + half, 4.0 * half) - 2.0 * half) if half > 0.0 else y
-        y = np.where(inside, half - folded, y) if half > 0.0 else y
-    x, y = _stopped_at_walls(circuit, snapshot, (x, y), ~narrow & ~beyond)
-    return _beside_scatterers(circuit, _over_the_line(circuit, x), y)
-
-
-def _mouth(circuit: Circuit, x: Floats) -> Floats:
-    """Return |x| where channel 2 begins on the side of each particle."""
-    return of_side(circuit, x, lambda side: side.urn_centre + side.chords[1])
-
-
-def _over_the_line(circuit: Circuit, x: Floats) -> Floats:
-    if circuit.shape == "circuit":
-        one, two = (float(side.end) for side in circuit.sides)
-        return np.mod(x + one, one + two) - one
-    return x
-
-
-def _stopped_at_walls(
-    circuit: Circuit, snapshot: Snapshot, flown_to: tuple[Floats, Floats], in_urn: NDArray[np.bool_]
-) -> tuple[Floats, Floats]:
-    """Return the ends of flights that stop at the walls of urns, by bisection."""
-    start = np.column_stack([snapshot.x, snapshot.y])
-    end = np.column_stack(flown_to)
-    for way, side in zip((1.0, -1.0), circuit.sides, strict=True):
-        centre = float(side.urn_centre)
-        if side.outline is None:
-            urn = Outline.circle((-way * centre, 0.0), float(side.urn_radius))
-        else:
-            urn = Outline((outlines.centred(side.outline) - [centre, 0.0]) * [way, 1.0])
-        mouth = np.abs(end[:, 1]) <= 0.5 * np.where(
-            np.abs(end[:, 0]) < centre, circuit.channel1_width, circuit.channel2_width
-        )
-        out = in_urn & (way * snapshot.x < 0.0) & ~mouth & ~urn.contains_points(end)
-        least, most = np.zeros(start.shape[0]), np.ones(start.shape[0])
-        for _ in range(HALVINGS):
-            middle = 0.5 * (least + most)
-            inside = urn.contains_points(start + (end - start) * middle[:, None])
-            least, most = np.where(inside, middle, least), np.where(inside, most, middle)
-        end = np.where(out[:, None], start + (end - start) * least[:, None], end)
-    return end[:, 0], end[:, 1]
-
-
-def _beside_scatterers(circuit: Circuit, x: Floats, y: Floats) -> tuple[Floats, Floats]:
-    """Return the positions of particles whose flights stop at the discs that they hit."""
-    line = -np.sign(x) * of_side(circuit, x, lambda side: side.end)
-    behind = np.abs(x) > _mouth(circuit, x)
-    for z, height, radius in circuit.scatterers:
-        dx, dy = x + line - z, y - height
-        away = np.hypot(dx, dy)
-        grow = np.where(
-            behind & (away < radius) & (away > 0.0), radius / np.maximum(away, 1e-300), 1
-        )
-        x, y = x + dx * (grow - 1.0), y + dy * (grow - 1.0)
-    return x, y
-
-
-def joined(times: Floats) -> bool:
-    """Tell whether snapshots are so close that they are joined by straight flight."""
-    return times.size > 1 and float(np.diff(times).max()) <= CLOSE
-
-
-def frame_times(times: Floats, seconds: float) -> Floats:
-    """Return the time shown in each frame of a film of snapshots at `times`.
-
-    Close snapshots: evenly from the first to the last. Others: each is shown for equally many
-    frames, at most for a second, so that no frame shows a time at which the positions are not
-    known.
+    A frame shows a snapshot as it is: between two of them the run knows no place. All are shown
+    for equally many frames, at most for a second; where there are more than frames some are left
+    out.
     """
     frames = max(int(seconds * RATE), 2)
-    if joined(times):
-        return np.linspace(times[0], times[-1], frames)
-    shown = times[np.linspace(0, times.size - 1, min(frames, times.size)).round().astype(int)]
+    shown = np.linspace(0, count - 1, min(frames, count)).round().astype(int)
     return np.repeat(shown, min(max(frames // shown.size, 1), RATE))
 
 
@@ -237,18 +155,12 @@ class Stage:
         below.set_xlim(*shown)
         below.set_xlabel("time $t$  (length / $v$)")
 
-    def show(self, time: float, flash_time: float) -> None:
-        """Draw the frame at `time`."""
-        scenes = self.scenes
-        index = int(np.searchsorted(scenes.times, time + 1e-12, side="right")) - 1
-        index = min(max(index, 0), len(scenes.snapshots) - 1)
-        snapshot = scenes.snapshots[index]
-        x, y, after = snapshot.x, snapshot.y, time - snapshot.time
-        if 0.0 < after <= CLOSE:
-            x, y = flown(scenes.circuit, snapshot, after)
+    def show(self, snapshot: Snapshot, flash_time: float) -> None:
+        """Draw the frame of a snapshot; a reversal is seen for `flash_time` after it."""
+        scenes, time = self.scenes, snapshot.time
         counted = counted_by(scenes.circuit, snapshot) > 0
-        colour = np.where(x < 0.0, style.SKY, style.GREEN)
-        self.dots.set_offsets(np.column_stack([x, y]))
+        colour = np.where(snapshot.x < 0.0, style.SKY, style.GREEN)
+        self.dots.set_offsets(np.column_stack([snapshot.x, snapshot.y]))
         self.dots.set_facecolor(np.where(counted, style.VERMILION, colour))
         self.dots.set_sizes(np.where(counted, 16.0, 4.0))
         when, gate = scenes.reversals
@@ -256,10 +168,10 @@ class Stage:
             ago = time - when[(gate == number) & (when <= time)]
             fade = 1.0 - float(ago.min(initial=np.inf)) / flash_time
             flash.set_alpha(0.6 * max(fade, 0.0))
-        first = int(np.count_nonzero(x < 0.0))
+        first = int(np.count_nonzero(snapshot.x < 0.0))
         self.title.set_text(
             f"$t = {time:.2f}$    $T = {scenes.circuit.thresholds}$    "
-            f"$N_1 = {first}$    $N_2 = {x.size - first}$"
+            f"$N_1 = {first}$    $N_2 = {snapshot.x.size - first}$"
         )
         self.now.set_xdata([time, time])
         canvas = self.figure.canvas
@@ -271,18 +183,18 @@ class Stage:
 @style.settings()
 def write(scenes: Scenes, seconds: float, path: Path) -> None:
     """Write a film of at most `seconds`, an MP4 (H.264) or a GIF, which has every second frame."""
-    stage, times = Stage(scenes), frame_times(scenes.times, seconds)
-    flash_time = min(FLASH * float(np.diff(times).max()), LONGEST_FLASH)
+    stage, shown = Stage(scenes), snapshots_shown(len(scenes.snapshots), seconds)
+    flash_time = min(FLASH * float(np.diff(scenes.times[shown]).max()), LONGEST_FLASH)
     if path.suffix == ".gif":
-        times, writer = times[::2], PillowWriter(fps=RATE / 2)
+        shown, writer = shown[::2], PillowWriter(fps=RATE / 2)
     else:
         ffmpeg = cli.extra("film", "imageio_ffmpeg")
         mpl.rcParams["animation.ffmpeg_path"] = ffmpeg.get_ffmpeg_exe()
         writer = FFMpegWriter(fps=RATE, codec="libx264", extra_args=ENCODED)
     try:
         with cli.replaced(path) as half, writer.saving(stage.figure, half, DOTS):
-            for time in each(times, "frame"):
-                stage.show(float(time), flash_time)
+            for index in each(shown, "frame"):
+                stage.show(scenes.snapshots[index], flash_time)
                 writer.grab_frame()
     except subprocess.CalledProcessError as problem:
         lines, full = problem.stderr.splitlines() or ["ffmpeg failed"], os.strerror(errno.ENOSPC)
@@ -334,8 +246,7 @@ def film(
         raise cli.InputError(f"seconds = {seconds} must lie above 0 and up to 3600")
     points = by_point(dataset_of(results, verify=verify))
     scenes = read_scenes(points, *task_of(points, point, replica))
-    apart = f"snapshots more than {CLOSE} apart follow each other without flight"
-    say(points, remark(points), "" if joined(scenes.times) else apart)
+    say(points, remark(points))
     path = cli.path_of(file, "file")
     if path.suffix not in (".mp4", ".gif"):
         raise cli.InputError(f"{path}: a film is an .mp4 or a .gif")

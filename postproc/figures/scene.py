@@ -14,13 +14,11 @@ from postproc.reading.points import task_of
 from postproc.theory import outlines
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     import xarray as xr
     from matplotlib.axes import Axes
     from matplotlib.collections import PathCollection
     from matplotlib.figure import Figure
-    from numpy.typing import ArrayLike, NDArray
+    from numpy.typing import NDArray
 
     from postproc.reading.groups import Snapshot
     from postproc.theory.circuit import Circuit
@@ -33,14 +31,6 @@ def ways(circuit: Circuit) -> list[tuple[float, Circuit]]:
     """Return each side as (sign of x, circuit with both sides like it)."""
     sides = zip((-1.0, 1.0), circuit.sides, strict=True)
     return list(sides) if circuit.shape == "circuit" else [(-1.0, circuit)]
-
-
-def of_side(
-    circuit: Circuit, x: NDArray[np.float64], what: Callable[[Circuit], ArrayLike]
-) -> NDArray[np.float64]:
-    """Return a quantity of each particle's side, shape (particle,)."""
-    one, two = (float(what(side)) for side in circuit.sides)
-    return np.where(x < 0.0, one, two)
 
 
 def walls(circuit: Circuit) -> list[NDArray[np.float64]]:

@@ -243,9 +243,6 @@ def test_scatterers_are_drawn_and_no_theory_is_asked(tmp_path: Path) -> None:
     results, circuit = points_of(path), points_of(path)["circuit"].item()
     drawn, line = picture_of(circuit, snapshot_of(results, 0, 0, 0)).axes[0], float(circuit.end)
     discs = [patch.center for patch in drawn.patches if isinstance(patch, Circle)]
-    # In a film a flight stops at a disc.
-    x, y = film.flown(circuit, Snapshot(0.0, *np.array([[0.2 - line], [0.0], [-1.0], [0.0]])), 0.15)
-    assert float(np.hypot(x + line - 0.01, y)[0]) == pytest.approx(0.05)
     # That astride the line is drawn at both ends.
     assert sorted(x for x, _ in discs) == pytest.approx([-line + 0.01, line - 0.2, line + 0.01])
 
@@ -359,12 +356,6 @@ def test_unlike_sides_are_drawn_as_they_are(unlike_file: Path, tmp_path: Path) -
     assert discs == pytest.approx([0.01 - ends[0], ends[1] - 0.2, ends[1] + 0.01])
     titles = [drawn.axes[1].get_title(where) for where in ("left", "right")]
     assert ["$T = 4$" in titles[0], "$T = 6$" in titles[1]] == [True, True]
-    # Who flies over the line comes in at the other end; in urn 2 a flight stops at its wall.
-    there = Snapshot(0.0, np.array([0.01 - ends[0], 0.5 + beyond]), np.array([0.09, 0.7]),
-                     np.array([-1.0, 0.0]), np.array([0.0, 1.0]))  # fmt: skip
-    x, y = film.flown(table, there, 0.3)
-    assert x[0] == pytest.approx(ends[1] - 0.29)
-    assert [x[1], y[1]] == pytest.approx([0.5 + beyond, 0.8])
 
 
 def test_theory_of_unlike_sides_is_refused_with_a_line(

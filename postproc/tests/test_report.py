@@ -331,23 +331,6 @@ def test_memory_explains_the_conductance_of_the_maps(width: float, measured: flo
     assert warn.memory_factor(Circuit(1000, 7, channel2_width=width)) < measured + 0.2
 
 
-def test_flight_stays_on_the_table() -> None:
-    table = Circuit(3000, 7)
-    random = np.random.default_rng(7)
-    angle = random.uniform(0.0, 2.0 * np.pi, 3000)
-    x = random.uniform(-0.5, 0.5, 3000)
-    y = random.uniform(-0.15, 0.15, 3000)
-    moved = film.flown(table, Snapshot(0.0, x, y, np.cos(angle), np.sin(angle)), 0.5)
-    still = np.abs(moved[0]) <= 0.5
-    assert np.abs(moved[1][still]).max() <= 0.15 + 1e-12
-    line = Snapshot(
-        0.0, np.full(2, table.end - 0.1), np.zeros(2), np.array([1.0, -1.0]), np.zeros(2)
-    )
-    assert film.flown(table, line, 0.3)[0] == pytest.approx([0.2 - table.end, table.end - 0.4])
-    at_rest = film.flown(table, Snapshot(0.0, x, y, np.cos(angle), np.sin(angle)), 0.0)
-    assert at_rest[1] == pytest.approx(y)
-
-
 @pytest.mark.parametrize("kind", ["mp4", "gif"])
 def test_film_has_all_its_frames(kind: str, filmed: Path, tmp_path: Path) -> None:
     options = [str(filmed), "--output", str(tmp_path), "--seconds", "0.4"]
@@ -401,31 +384,27 @@ def test_a_frame_shows_its_moment(filmed: Path) -> None:
     results = points_of(filmed)
     scenes = film.read_scenes(results, 0, 0)
     stage = film.Stage(scenes)
-    stage.show(5.25, 0.1)
+    shot = scenes.snapshots[10]
+    stage.show(shot, 0.1)
     pixels = np.array(stage.figure.canvas.buffer_rgba())
     assert pixels.shape == (480, 800, 4)
-    assert stage.title.get_text().startswith("$t = 5.25$    $T = 7$    $N_1 = ")
-    assert stage.now.get_xdata() == [5.25, 5.25]
-    x, y = film.flown(scenes.circuit, scenes.snapshots[10], 0.25)
-    assert np.array(stage.dots.get_offsets()) == pytest.approx(np.column_stack([x, y]))
+    assert stage.title.get_text().startswith("$t = 5.00$    $T = 7$    $N_1 = ")
+    assert stage.now.get_xdata() == [5.0, 5.0]
+    assert np.array_equal(stage.dots.get_offsets(), np.column_stack([shot.x, shot.y]))
     _, below, right = stage.figure.axes
     assert below.get_xlim() == (0.0, 10.0)
     assert below.get_ylabel() == r"mass spread $\chi$"
     assert right.get_ylabel() == "net current 2\n(per unit time)"
-    stage.show(9.0, 0.1)
+    stage.show(scenes.snapshots[18], 0.1)
     assert not np.array_equal(pixels, stage.figure.canvas.buffer_rgba())
 
 
-def test_no_frame_shows_a_time_without_its_particles() -> None:
-    far = np.array([0.0, 2000.0])
-    assert np.unique(film.frame_times(far, 30.0)) == pytest.approx(far)
-    many = np.arange(3000.0)
-    shown = film.frame_times(many, 1.0)
-    assert shown.size == film.RATE
-    assert np.isin(shown, many).all()
-    close = film.frame_times(np.arange(0.0, 10.0, 0.5), 2.0)
-    assert close.size == 2 * film.RATE
-    assert np.diff(close) == pytest.approx(9.5 / (2 * film.RATE - 1))
+def test_a_film_shows_its_snapshots_equally_long() -> None:
+    assert film.snapshots_shown(2, 30.0).tolist() == [0] * film.RATE + [1] * film.RATE
+    assert film.snapshots_shown(10, 2.0).tolist() == [at for at in range(10) for _ in range(5)]
+    many = film.snapshots_shown(3000, 1.0)
+    assert [many.size, many[0], many[-1]] == [film.RATE, 0, 2999]
+    assert set(np.diff(many)) <= {124, 125}
 
 
 def test_a_film_is_of_the_kinds_that_are_documented(filmed: Path, tmp_path: Path) -> None:
