@@ -209,10 +209,10 @@ def plain_value(value: Any) -> Any:  # noqa: ANN401 (of any type)
 
 
 def path_of(value: object, name: str) -> Path:
-    """Return the argument `name` as a path; raise `InputError` if it is none."""
+    """Return the argument `name` as a path, `~/` as the home folder; else raise `InputError`."""
     if not isinstance(value, (str, os.PathLike)) or not str(value) or "\0" in str(value):
         raise InputError(f"{name} = {value!r}: must be a path")
-    return Path(value)
+    return Path(value).expanduser() if str(value).startswith("~/") else Path(value)
 
 
 def ended_with_python(command: Sequence[str | Path]) -> list[str]:

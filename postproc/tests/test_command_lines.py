@@ -306,3 +306,9 @@ def test_who_is_interrupted_says_nothing(capsys: pytest.CaptureFixture[str]) -> 
 
     assert cli.run(main) == cli.EXIT_INTERRUPTED
     assert capsys.readouterr().err == ""
+
+
+def test_a_tilde_is_the_home_folder(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("HOME", "/home/someone")
+    assert cli.path_of("~/runs/map.h5", "file") == Path("/home/someone/runs/map.h5")
+    assert cli.path_of("~map.h5", "file") == Path("~map.h5")
