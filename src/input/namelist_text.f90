@@ -244,7 +244,9 @@ contains
       if (problem /= '') then
         call add_mistake(problem)
       else if (count + repeats > most_values) then
-        call add_mistake('too many values; allowed: '//to_text(most_values))
+        if (count <= most_values) &
+          call add_mistake('too many values; allowed: '//to_text(most_values))
+        count = most_values + 1
       else if (repeats > 1 .and. len(value%text) > most_letters/repeats) then
         call add_mistake('too long to repeat; letters allowed in all: '//to_text(most_letters))
       else
@@ -252,7 +254,7 @@ contains
         count = count + repeats
       end if
     end do
-    values = reader%values(:count)
+    values = reader%values(:min(count, most_values))
 
   contains
 

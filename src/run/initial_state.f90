@@ -267,7 +267,8 @@ contains
     end do
     if (after_comma .and. problem == '') problem = 'has a comma without a number behind it'
     if (problem == '' .and. columns /= 4) problem = 'has '//to_text(columns) &
-      //' columns; allowed: 4, x y ux uy'
+      //trim(merge(' column ', ' columns', columns == 1))//'; allowed: 4, x y ux uy, ' &
+      //'between blanks or commas, with decimal points'
   end subroutine find_columns
 
 end module battery_initial_state
