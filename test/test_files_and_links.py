@@ -151,7 +151,6 @@ def test_a_linked_output_replaces_what_it_points_to(tmp_path: Path, there: bool)
 
 
 TEMPORARY = [
-    "out.h5.part",
     "out.h5.tasks/plan.new",
     "out.h5.tasks/rank_0",
     f"out.h5.tasks/task_{1:016X}.b",

@@ -759,9 +759,12 @@ def test_a_file_of_someone_else_is_kept(tmp_path: Path) -> None:
     with h5py.File(tmp_path / "mine.h5", "w") as file:
         file["mine"] = np.arange(10.0)
     others = (b"my notes", (tmp_path / "mine.h5").read_bytes(), np.arange(1000.0).tobytes())
-    for others_bytes, words in itertools.product(others, ((), ("--overwrite",))):
-        (tmp_path / "out.h5").write_bytes(others_bytes)
+    # Results are first written as out.h5.part.
+    names, commands = ("out.h5", "out.h5.part"), ((), ("--overwrite",))
+    for name, words, contents in itertools.product(names, commands, others):
+        (tmp_path / name).write_bytes(contents)
         ended = run(*words, "case.nml", folder=tmp_path)
         assert ended.returncode == 2
-        assert "out.h5 is not a results file" in ended.stderr
-        assert (tmp_path / "out.h5").read_bytes() == others_bytes
+        assert f"{name} is not a results file" in ended.stderr
+        assert (tmp_path / name).read_bytes() == contents
+        (tmp_path / name).unlink()

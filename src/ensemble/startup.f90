@@ -157,6 +157,7 @@ contains
     type(error_type), allocatable, intent(out) :: error
 
     call check_discardable(plan%file, error)
+    if (.not. allocated(error)) call check_discardable(plan%file//'.part', error)
     if (.not. allocated(error)) call remove_journal(journal_folder(plan), error)
     if (.not. allocated(error)) call make_folder(journal_folder(plan), error)
     if (.not. allocated(error)) call remove_file(plan%file, error)
@@ -189,6 +190,9 @@ contains
       message = plan%file//' is complete; --overwrite runs it again'
       return
     end if
+    ! The results are written under this name first.
+    call check_discardable(plan%file//'.part', error)
+    if (allocated(error)) return
     found = sources%has_plan .or. progress%finished > 0
     if (allocated(damage)) then
       if (.not. found) call fatal_error(error, damage%message//'; there is no journal to write ' &
@@ -325,6 +329,7 @@ contains
     call open_results(plan%file, file, error, lacks_footer)
     if (.not. allocated(error) .and. lacks_footer) then
       call check_input_of(file, plan, .true., complete, error)
+      if (.not. allocated(error)) call check_discardable(plan%file//'.part', error)
       if (.not. allocated(error)) call accept_results(plan%file, file, results, error)
       if (.not. allocated(error)) message = plan%file//': accepted as it is, with a new digest: ' &
         //'its structure and its seeds are those of its namelist; ' &

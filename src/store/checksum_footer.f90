@@ -228,8 +228,8 @@ contains
     end do
   end function digest_in
 
-  !> Checks that `--overwrite` may remove a file: a results file, whole or not. A namelist, or an
-  !> HDF5 file of another program, stays.
+  !> Checks that a file may be removed: a results file, whole or not. A namelist, or an HDF5 file of
+  !> another program, stays.
   subroutine check_discardable(name, error)
     !> Path of the file, which need not exist.
     character(len=*), intent(in) :: name
