@@ -6,12 +6,12 @@ import argparse
 import importlib
 import math
 import os
-import re
 import sys
 import threading
 import warnings
 from collections import deque
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
+from mmap import ACCESS_READ, mmap
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
@@ -25,16 +25,8 @@ EXIT_BAD_INPUT = 2
 # The reader of a pipe, such as `head`, has enough: the exit of a program that SIGPIPE ended.
 EXIT_CLOSED_PIPE = 141
 EXIT_INTERRUPTED = 130
-BEGINNINGS = {  # of the files that are written, by kind
-    "namelist": re.compile(rb"(\xef\xbb\xbf)?(\s|![^\n]*\n)*&\w"),
-    "HTML page": re.compile(rb"\s*<!DOCTYPE html", re.IGNORECASE),
-    "PNG file": re.compile(rb"\x89PNG"),
-    "PDF file": re.compile(rb"%PDF"),
-    "JSON file": re.compile(rb"\s*[{\[]"),
-    "GIF file": re.compile(rb"GIF8"),
-    "film": re.compile(rb".{4}ftyp|\x1aE\xdf\xa3", re.DOTALL),  # MP4 and MOV, or MKV
-}
 COMMAND = "battery-postproc"  # all commands as one, where the package is installed
+MARK = "written by battery-postproc"  # in each file that is written, by which it is known again
 
 
 # Asks the system for a signal when the parent, Python, ends, and then replaces itself by the given
@@ -162,19 +154,22 @@ def existing_file(path: Path) -> Path:
     return path
 
 
-def file_to_write(path: Path, kind: str) -> Path:
-    """Return `path`, at which a file of a kind of `BEGINNINGS` is to be written.
+def file_to_write(path: Path) -> Path:
+    """Return `path`, at which a file is to be written.
 
-    A file that is there must be empty or of this kind.
+    A file that is there must be empty or have the `MARK` of those that this package writes.
     """
-    if path.is_dir():
-        raise InputError(f"{path}: is a folder, not a file")
-    if path.is_file():
-        with path.open("rb") as file:
-            head = file.read(4096)
-        if head and not BEGINNINGS[kind].match(head):
-            told = f"is no {kind}, and is not replaced; name another file, or remove it"
-            raise InputError(f"{path}: {told}")
+    try:
+        if path.is_dir():
+            raise InputError(f"{path}: is a folder, not a file")
+        if path.is_file() and path.stat().st_size > 0:
+            with path.open("rb") as file, mmap(file.fileno(), 0, access=ACCESS_READ) as content:
+                # Results have it, too, in the namelist that they hold.
+                if content.find(MARK.encode()) < 0 or content[:4] == b"\x89HDF":
+                    told = "is not replaced; name another file, or remove it"
+                    raise InputError(f"{path}: is not {MARK}, and {told}")
+    except OSError as problem:
+        raise InputError(f"cannot write {path}: {problem.strerror}") from problem
     return path
 
 
@@ -182,7 +177,7 @@ def file_to_write(path: Path, kind: str) -> Path:
 def replaced(path: Path) -> Iterator[Path]:
     """Yield the path of a new file, which takes the place of `path` when it is whole.
 
-    A failure leaves what was there, and is an `InputError`. A device is written to as it is.
+    A failure leaves what was there, and is an `InputError`. A pipe or device is written to.
     """
     try:
         final = path.resolve()
@@ -191,15 +186,16 @@ def replaced(path: Path) -> Iterator[Path]:
     own = f"{os.getpid()}.{threading.get_ident()}"
     half = final.with_name(f".{final.stem[:40]}.{own}{path.suffix}")
     try:
-        if final.is_file() or not final.exists():
+        if path.is_file() or not path.exists():
             yield half
             half.replace(final)
-        else:
-            yield final
+        else:  # `final` is no place of a pipe
+            yield path
     except OSError as problem:
         raise InputError(f"cannot write {path}: {problem.strerror or problem}") from problem
     finally:
-        half.unlink(missing_ok=True)
+        with suppress(OSError):
+            half.unlink()
 
 
 def plain_value(value: Any) -> Any:  # noqa: ANN401 (of any type)

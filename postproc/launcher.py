@@ -43,6 +43,8 @@ _RANK_OF_A_JOB = re.compile(
     r"|PRTE_(?!MCA_|PREFIX|INSTALL_PREFIX|ALLOW_RUN_AS_ROOT)\w+|PRTE_MCA_(ess_base|prte_ess)_\w+"
     r"|PMI2?_\w+|HYDI_\w+|MPI_LOCALN?RANK(ID|S)"
     r"|SLURM_(STEP\w*|PROCID|LOCALID|NODEID|TASK_PID|GTIDS|SRUN_COMM_\w+|LAUNCH_NODE_IPADDR)"
+    r"|FLUX_(JOB_\w+|TASK_\w+|KVS_NAMESPACE|PMI_LIBRARY_PATH)|JSM_\w+|ALPS_APP_\w+"
+    r"|PALS_(AP\w+|RANKID|LOCAL_\w+|NODEID|FD|SPOOL_DIR)"
 )
 
 # A warning of Open MPI 5 on hosts without a network: each rank writes it in parts, which are mixed

@@ -22,6 +22,7 @@ import f90nml
 
 from postproc.cli import (
     EXIT_BAD_INPUT,
+    MARK,
     InputError,
     ended_with_python,
     existing_file,
@@ -115,7 +116,7 @@ def write_namelist(
     """
     if not isinstance(groups, Mapping):
         raise InputError(f"groups = {groups!r}: must be values by group and key")
-    place = None if file is None else file_to_write(path_of(file, "file"), "namelist")
+    place = None if file is None else file_to_write(path_of(file, "file"))
     checked: dict[str, dict[str, object]] = {}
     problems: list[str] = []
     known = _keys(find_program(program))
@@ -135,6 +136,7 @@ def write_namelist(
     namelist.column_width = 100
     text = f"{namelist}\n"
     if place is not None:
+        text = f"! {MARK}\n{text}"
         with replaced(place) as half:
             half.write_text(text, encoding="utf-8")
     return text

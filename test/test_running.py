@@ -163,12 +163,14 @@ def test_ranks_that_nothing_waits_for_are_refused(tmp_path: Path) -> None:
         )
 
 
-def test_a_namelist_replaces_a_namelist_but_no_results(tmp_path: Path) -> None:
-    results = postproc.run(CASE, folder=tmp_path, quiet=True)
-    before = results.read_bytes()
-    with pytest.raises(ValueError, match="is no namelist, and is not replaced"):
-        postproc.write_namelist(results, CASE)
-    assert results.read_bytes() == before
+def test_a_namelist_replaces_one_that_was_written_but_no_other_file(tmp_path: Path) -> None:
+    mine = tmp_path / "mine.nml"
+    mine.write_text("! why I chose this\n&particles number = 3 /\n", encoding="utf-8")
+    for path in (postproc.run(CASE, folder=tmp_path, quiet=True), mine):
+        before = path.read_bytes()
+        with pytest.raises(ValueError, match="is not written by battery-postproc, and is not rep"):
+            postproc.write_namelist(path, CASE)
+        assert path.read_bytes() == before
     for _ in range(2):
         postproc.write_namelist(tmp_path / "case.nml", CASE)
 

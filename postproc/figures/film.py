@@ -190,12 +190,19 @@ def write(scenes: Scenes, seconds: float, path: Path) -> None:
     else:
         ffmpeg = cli.extra("film", "imageio_ffmpeg")
         mpl.rcParams["animation.ffmpeg_path"] = ffmpeg.get_ffmpeg_exe()
-        writer = FFMpegWriter(fps=RATE, codec="libx264", extra_args=ENCODED)
+        writer = FFMpegWriter(
+            fps=RATE, codec="libx264", extra_args=ENCODED, metadata={"comment": cli.MARK}
+        )
     try:
-        with cli.replaced(path) as half, writer.saving(stage.figure, half, DOTS):
-            for index in each(shown, "frame"):
-                stage.show(scenes.snapshots[index], flash_time)
-                writer.grab_frame()
+        with cli.replaced(path) as half:
+            with writer.saving(stage.figure, half, DOTS):
+                for index in each(shown, "frame"):
+                    stage.show(scenes.snapshots[index], flash_time)
+                    writer.grab_frame()
+            if path.suffix == ".gif":  # a comment before its last byte
+                with half.open("r+b") as file:
+                    file.seek(-1, os.SEEK_END)
+                    file.write(b"!\xfe%c%b\x00;" % (len(cli.MARK), cli.MARK.encode()))
     except subprocess.CalledProcessError as problem:
         lines, full = problem.stderr.splitlines() or ["ffmpeg failed"], os.strerror(errno.ENOSPC)
         reason = next((one for one in lines if full in one), lines[-1])
@@ -250,7 +257,7 @@ def film(
     path = cli.path_of(file, "file")
     if path.suffix not in (".mp4", ".gif"):
         raise cli.InputError(f"{path}: a film is an .mp4 or a .gif")
-    cli.file_to_write(path, "GIF file" if path.suffix == ".gif" else "film")
+    cli.file_to_write(path)
     cli.output_folder(path.parent)
     write(scenes, seconds, path)
     return path

@@ -16,7 +16,7 @@ from matplotlib.figure import Figure
 from matplotlib.patheffects import Normal, Stroke
 from matplotlib.ticker import MaxNLocator
 
-from postproc.cli import file_to_write, output_folder, replaced
+from postproc.cli import MARK, file_to_write, output_folder, replaced
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -40,6 +40,7 @@ CYCLE = (BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY)
 COLUMN = 3.4  # width of one column of the journal, inches
 PAGE = 7.0  # width of both columns, inches
 RESOLUTION = 200  # dots per inch of the PNG
+ABOUT = {"png": {"Software": MARK}, "pdf": {"Creator": MARK, "CreationDate": None}}
 TICKS = 0.12  # of their range, least distance between ticks at given values
 
 SETTINGS = {
@@ -141,12 +142,10 @@ def note(axes: Axes, text: str) -> None:
 def save(made: Figure, folder: Path, name: str) -> list[Path]:
     """Write `name`.png and `name`.pdf into `folder`, print and return their paths."""
     output_folder(folder)
-    paths = [
-        file_to_write(folder / f"{name}.{kind.lower()}", f"{kind} file") for kind in ("PNG", "PDF")
-    ]
-    for path, about in zip(paths, ("Software", "CreationDate"), strict=True):
+    paths = [file_to_write(folder / f"{name}.{kind}") for kind in ABOUT]
+    for path, about in zip(paths, ABOUT.values(), strict=True):
         drawn = io.BytesIO()
-        made.savefig(drawn, format=path.suffix[1:], dpi=RESOLUTION, metadata={about: None})
+        made.savefig(drawn, format=path.suffix[1:], dpi=RESOLUTION, metadata=about)
         with replaced(path) as half:
             half.write_bytes(drawn.getvalue())
         print(path)

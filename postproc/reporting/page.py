@@ -40,6 +40,7 @@ from bokeh.models import (
 from bokeh.plotting import figure
 from bokeh.resources import Resources
 
+from postproc.cli import MARK
 from postproc.figures import style
 from postproc.figures.scene import draw_table
 from postproc.figures.style import CYCLE
@@ -500,6 +501,7 @@ def page(points: xr.Dataset, models: dict[str, Model]) -> str:
         title,
         template=(HERE / "page.html").read_text(encoding="utf-8"),
         template_variables={
+            "mark": MARK,
             "about": _about(points),
             "warnings": warnings(points),
             "explanations": explanations(points),

@@ -62,12 +62,14 @@ def test_no_whole_file(
 @pytest.mark.parametrize(
     ("words", "written"), [(["plot", "scene"], "run_scene.png"), (["report"], "run.html")]
 )
-@pytest.mark.parametrize("before", [b"", b"! mine\n&particles number = 3 /\n", b"what I saw\n"])
-def test_no_file_of_another_kind_is_replaced(
+@pytest.mark.parametrize(
+    "before", [b"", b"! mine\n&particles number = 3 /\n", b"\x89PNG mine", b"<!DOCTYPE html>mine"]
+)
+def test_no_file_of_someone_else_is_replaced(
     files: Path, tmp_path: Path, words: list[str], written: str, before: bytes,
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch,
 ) -> None:  # fmt: skip
-    """Results (b"") are not, no namelist, no text: a picture or a report may have their name."""
+    """Results (b"") are not, nor a picture or page of other programs; its own are."""
     monkeypatch.chdir(tmp_path)
     Path("run.h5").write_bytes((files / "whole.h5").read_bytes())
     there = before or Path("run.h5").read_bytes()
@@ -75,6 +77,8 @@ def test_no_file_of_another_kind_is_replaced(
     assert call(words[0], [*words[1:], "run.h5"]) == 2
     assert "and is not replaced" in capsys.readouterr().err
     assert Path(written).read_bytes() == there
+    Path(written).unlink()
+    assert [call(words[0], [*words[1:], "run.h5"]) for _ in range(2)] == [0, 0]
 
 
 SHORT = {"run": {"duration": 30.0, "transient_duration": 0.0}}
@@ -306,6 +310,26 @@ def test_who_is_interrupted_says_nothing(capsys: pytest.CaptureFixture[str]) -> 
 
     assert cli.run(main) == cli.EXIT_INTERRUPTED
     assert capsys.readouterr().err == ""
+
+
+def test_a_pipe_is_written_to() -> None:
+    """By the name of standard output, under which a pipe has no place among files."""
+    code = (
+        "from postproc import cli\n"
+        "with cli.replaced(cli.path_of('/dev/stdout', 'file')) as it: it.write_text('yes')"
+    )
+    ended = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
+    assert ended.stdout == "yes"
+
+
+def test_what_cannot_be_a_file_is_one_line(tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    for name in ("file/one.nml", "n" * 300):
+        with (
+            pytest.raises(cli.InputError, match="cannot write"),
+            cli.replaced(cli.file_to_write(tmp_path / name)) as half,
+        ):
+            half.write_text("no")
 
 
 def test_a_tilde_is_the_home_folder(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -58,6 +58,7 @@ def test_a_program_is_a_job_of_its_own_with_the_settings_of_its_user(
     job = {"OMPI_COMM_WORLD_RANK", "OMPI_MCA_ess", "OMPI_MCA_orte_hnp_uri", "OMPI_MCA_pmix"}
     job |= {"PMIX_RANK", "PMIX_NAMESPACE", "PRTE_LAUNCHED", "PMI_FD", "PMI_RANK", "MPI_LOCALRANKID"}
     job |= {"HYDI_CONTROL_FD", "SLURM_STEP_ID", "SLURM_STEPID", "SLURM_PROCID"}
+    job |= {"FLUX_JOB_ID", "FLUX_TASK_RANK", "JSM_JSRUN_PORT", "ALPS_APP_ID", "PALS_RANKID"}
     for name in users | job:
         monkeypatch.setenv(name, "1")
     kept = own_environment().keys()

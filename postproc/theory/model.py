@@ -304,7 +304,10 @@ class Model:
                 low, high = low / NEAR**2, low
             if not growth(low) > 0.0 > growth(high):
                 return math.nan
-            return float(optimize.brentq(growth, low, high, xtol=1e-4 * low, rtol=1e-4))
+            try:
+                return float(optimize.brentq(growth, low, high, xtol=1e-4 * low, rtol=1e-4))
+            except ValueError:  # the theory has no answer in between
+                return math.nan
 
         return float(self._cached("width", circuit, found, width) if width > 0.0 else width)
 
