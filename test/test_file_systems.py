@@ -26,6 +26,7 @@ ENOTSUPP = 524  # of the kernel, without a name in errno.h
 LACKS = [("NO_FLOCK", number) for number in (errno.ENOLCK, errno.EOPNOTSUPP, ENOTSUPP)]
 LACKS += [("NO_FOLDER_SYNC", number)
           for number in (errno.EINVAL, errno.ENOSYS, errno.EOPNOTSUPP, errno.EBADF)]  # fmt: skip
+LACKS += [("NO_SYNC_FOR_READING", errno.EACCES), ("SIGNALS", 1)]
 READ = "import postproc; print(int(postproc.open_results('out.h5')['chi'].count()))"
 
 
@@ -172,6 +173,17 @@ def test_results_that_were_renamed_though_the_answer_was_lost_are_there(
     ended = run("--quiet", "case.nml", folder=tmp_path, environment=away)
     assert (ended.returncode, ended.stderr) == (0, "")
     assert sorted(path.name for path in tmp_path.glob("out.h5*")) == ["out.h5"]
+
+
+def test_what_a_file_server_leaves_in_the_journal_is_no_error(tmp_path: Path) -> None:
+    """A file that is removed while it is open elsewhere keeps a hidden name (NFS, sshfs)."""
+    write_case(CASE, tmp_path, scan={"replicas": 2}, limits={"wall_minutes": "1e-6"})
+    assert run("--quiet", "case.nml", folder=tmp_path).returncode == 3
+    (tmp_path / "out.h5.tasks/.nfs0001").touch()
+    write_case(CASE, tmp_path, scan={"replicas": 2})
+    for _ in range(2):
+        ended = run("--quiet", "case.nml", folder=tmp_path)
+        assert (ended.returncode, ended.stderr) == (0, "")
 
 
 def unpublished(folder: Path, lacking: str) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import signal
 import socket
 import subprocess
@@ -297,6 +298,26 @@ def test_what_an_owner_says_of_itself_gives_no_orders_to_a_terminal(tmp_path: Pa
     ended = program.run("case.nml", folder=tmp_path)
     assert ended.returncode == 2, (ended.stdout, ended.stderr)
     assert "is not a file that a run has left" in ended.stderr
+
+
+def test_results_that_are_only_touched_are_extended(tmp_path: Path) -> None:
+    """Another time, or another copy of the same bytes: the results of before are in the new file."""
+    output = tmp_path / "out.h5"
+    write(tmp_path)
+    assert program.run("case.nml", folder=tmp_path).returncode == 0
+    write(tmp_path, collisions=SHORT, replicas=5000, wall_minutes=LIMIT)
+    process = program.start("--quiet", "case.nml", folder=tmp_path)
+    assert program.wait_for((tmp_path / "out.h5.tasks/rank_0").exists, process)
+    program.send([process.pid], signal.SIGSTOP)
+    shutil.copy(output, tmp_path / "copy.h5")
+    (tmp_path / "copy.h5").replace(output)
+    with h5py.File(output) as file:
+        before = file["cpu_seconds"][0].tolist()
+    program.send([process.pid], signal.SIGCONT)
+    ended = program.finish(process)
+    assert (ended.returncode, ended.stderr) == (3, "")
+    with h5py.File(output) as file:
+        assert file["cpu_seconds"][0, :2].tolist() == before
 
 
 @pytest.mark.parametrize("what", ["file", "link", "other contents"])

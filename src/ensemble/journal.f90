@@ -396,9 +396,7 @@ contains
       if (allocated(error)) return
     end do
     call remove_file(folder//'/plan', error)
-    if (allocated(error)) return
-    call find_files(folder, '*', names, error)
-    if (.not. allocated(error) .and. size(names) == 0) call remove_file(folder, error)
+    if (.not. allocated(error)) call remove_file(folder, error)
   end subroutine remove_journal
 
 end module battery_journal

@@ -9,9 +9,10 @@
 module battery_merge
   use battery_kinds, only: dp, int32, int64
   use battery_clocks, only: utc_now
+  use battery_checksum_footer, only: check_unchanged
   use battery_command_line, only: command_line_words
   use battery_error, only: error_type, fatal_error, exit_bad_input
-  use battery_files, only: file_stamp_type, has_stamp, may_open
+  use battery_files, only: file_stamp_type, may_open
   use battery_fingerprint, only: fingerprint_text
   use battery_hdf5_file, only: hdf5_file_type, open_file, make_group, write_attribute, &
     write_text_attribute, no_handle
@@ -73,8 +74,10 @@ contains
     character(len=*), intent(in) :: start_date
     type(results_type), intent(out) :: results
     type(error_type), allocatable, intent(out) :: error
+    type(error_type), allocatable :: change
 
-    if (.not. has_stamp(plan%file, sources%old%stamp)) then
+    call check_unchanged(plan%file, sources%old%stamp, change)
+    if (allocated(change)) then
       ! What has the name now, if anything, is not replaced by a file without the old results.
       call close_results(sources%old)
       sources%old%stamp = file_stamp_type()

@@ -52,7 +52,8 @@ int battery_digest(const char *bytes, int64_t count, char digits[2 * digest_byte
 int battery_digest_file(const char *path, int64_t behind, char *first, int64_t capacity, char *last,
                         char digits[2 * digest_bytes], int64_t *length, int64_t seen[5]) {
   char piece[1 << 16];
-  int descriptor = open(path, O_RDONLY | O_NONBLOCK | O_CLOEXEC);
+  int descriptor;
+  do descriptor = open(path, O_RDONLY | O_NONBLOCK | O_CLOEXEC); while (descriptor < 0 && errno == EINTR);
   int status = descriptor >= 0 ? battery_identify(descriptor, seen) : errno;
   if (status == 0 && flock(descriptor, LOCK_SH | LOCK_NB) != 0 && errno == EWOULDBLOCK) status = -1;
   if (status == 0) {

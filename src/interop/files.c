@@ -28,9 +28,14 @@ int battery_is_disk_error(void) {
 /* Whether the last error says that nothing has the name; after any other error that is not known. */
 static int is_missing(void) { return errno == ENOENT || errno == ENOTDIR || errno == ENAMETOOLONG; }
 
-/* Removes a file, a link or an empty folder; a missing one is no error. */
+/* Network file systems (Lustre, FUSE) may give up a call at a signal, whatever its handler wants. */
+#define AGAIN_AFTER_SIGNALS(result, call) do result = (call); while (result < 0 && errno == EINTR)
+
+/* Removes a file, a link or an empty folder; a missing one is no error, and a folder that is not empty
+   stays, for instance one in which a file server keeps a removed file that is still open. */
 int battery_remove(const char *path) {
-  return remove(path) == 0 || errno == ENOENT || errno == ENOTDIR ? 0 : errno;
+  return remove(path) == 0 || errno == ENOENT || errno == ENOTDIR || errno == ENOTEMPTY || errno == EEXIST
+    ? 0 : errno;
 }
 
 /* Kind of object that a path names, links followed: 0 none, or not known, 1 a file, 2 a folder, 3 another. */
@@ -110,12 +115,19 @@ int battery_make_folder(const char *path) {
   return mkdir(path, S_IRWXU | S_IRWXG | S_IRWXO) == 0 ? 0 : errno;
 }
 
-/* Syncs a file, or the entries of a folder, to disk. Folders of some file systems cannot be synced
-   (shared folders of virtual machines, old SMB): for a folder, only an error of the disk is one. */
+/* Closes a file; after a signal it is closed, too. */
+static int close_file(int descriptor) { return close(descriptor) == 0 || errno == EINTR ? 0 : -1; }
+
+/* Syncs a file, or the entries of a folder, to disk. SMB syncs only a file that is open for writing.
+   Folders of some file systems cannot be synced (shared folders of virtual machines, old SMB): for a
+   folder, only an error of the disk is one. */
 int battery_sync(const char *path) {
-  int descriptor = open(path, O_RDONLY | O_CLOEXEC);
-  int status = descriptor >= 0 && fsync(descriptor) == 0 ? 0 : errno;
-  if (descriptor >= 0 && close(descriptor) != 0 && status == 0) status = errno;
+  int descriptor, result = -1;
+  AGAIN_AFTER_SIGNALS(descriptor, open(path, O_RDWR | O_CLOEXEC));
+  if (descriptor < 0) AGAIN_AFTER_SIGNALS(descriptor, open(path, O_RDONLY | O_CLOEXEC));
+  if (descriptor >= 0) AGAIN_AFTER_SIGNALS(result, fsync(descriptor));
+  int status = result == 0 ? 0 : errno;
+  if (descriptor >= 0 && close_file(descriptor) != 0 && status == 0) status = errno;
   errno = status;
   return status != 0 && !battery_is_disk_error() && battery_kind_of(path) == 2 ? 0 : status;
 }
@@ -123,9 +135,10 @@ int battery_sync(const char *path) {
 /* Makes a new empty file: a file or a link that had the name is removed. */
 static int create_new(const char *path) {
   if (unlink(path) != 0 && errno != ENOENT) return errno;
-  int descriptor = open(path, O_WRONLY | O_CREAT | O_EXCL | O_NOFOLLOW | O_CLOEXEC, 0666);
+  int descriptor;
+  AGAIN_AFTER_SIGNALS(descriptor, open(path, O_WRONLY | O_CREAT | O_EXCL | O_NOFOLLOW | O_CLOEXEC, 0666));
   if (descriptor < 0) return errno;
-  return close(descriptor) == 0 ? 0 : errno;
+  return close_file(descriptor) == 0 ? 0 : errno;
 }
 
 /* Identity of a file: device, inode, size, time of its last change. */
@@ -270,15 +283,17 @@ int battery_write_parts(const char *path, int64_t at, const CFI_cdesc_t *first, 
   const CFI_cdesc_t *part[3] = {first, second, third};
   int status = at == 0 ? create_new(path) : 0;
   if (status != 0) return status;
-  int descriptor = open(path, O_WRONLY | O_CREAT | O_NOFOLLOW | O_CLOEXEC, 0666);
+  int descriptor, result;
+  AGAIN_AFTER_SIGNALS(descriptor, open(path, O_WRONLY | O_CREAT | O_NOFOLLOW | O_CLOEXEC, 0666));
   if (descriptor < 0) return errno;
   if (lseek(descriptor, at, SEEK_SET) < 0) status = errno;
   for (int k = 0; k < 3 && status == 0; k++) {
     status = battery_write_all(descriptor, part[k]->base_addr, bytes_of(part[k]));
     at += (int64_t)bytes_of(part[k]);
   }
-  if (status == 0 && ftruncate(descriptor, at) != 0) status = errno;
-  return close(descriptor) == 0 || status != 0 ? status : errno;
+  AGAIN_AFTER_SIGNALS(result, ftruncate(descriptor, at));
+  if (status == 0 && result != 0) status = errno;
+  return close_file(descriptor) == 0 || status != 0 ? status : errno;
 }
 
 /* The next name in a folder that matches a pattern of a shell; NULL at the end, if there is no such

@@ -13,9 +13,11 @@ module battery_files
   public :: sync_file, remove_file, make_folder, publish_file, write_parts
   public :: file_stamp_type, has_stamp, publish_unless_replaced
 
-  !> Stamp of a file when it was read; initially: no file.
+  !> Stamp of a file when it was read, and the digest of its contents, if that was computed;
+  !> initially: no file.
   type :: file_stamp_type
     integer(c_int64_t) :: mark(5) = 0
+    character(len=64) :: digest = ''
   end type file_stamp_type
 
   procedure(number_of_path), bind(c, name='battery_exists') :: c_exists
@@ -138,15 +140,14 @@ contains
     status = c_put_in_place(temporary//c_null_char, final//c_null_char, before%mark)
     if (status < 0) then
       call fatal_error(error, what//', since '//final//' is something else now than it was when ' &
-        //'the run began; if another program only added to it, battery --accept FILE.nml takes ' &
-        //'it as it is; else move that away, and the same command goes on')
+        //'the run began; the same command goes on, or says what is in its way')
     else
       call set_system_error(status, what//'; it cannot be renamed to '//final, error)
     end if
     if (.not. allocated(error)) call sync_file(folder_of(final), error)
   end subroutine publish_unless_replaced
 
-  !> Removes a file or an empty folder; a missing one is no error.
+  !> Removes a file or an empty folder; a missing one is no error, and other folders stay.
   subroutine remove_file(path, error)
     !> Of a link, the link itself is removed, not its target.
     character(len=*), intent(in) :: path

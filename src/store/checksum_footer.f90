@@ -12,13 +12,13 @@ module battery_checksum_footer
   use, intrinsic :: iso_c_binding, only: c_char, c_int, c_int8_t, c_int64_t, c_null_char
   use battery_kinds, only: int8, int64
   use battery_error, only: error_type, fatal_error, exit_bad_input, exit_failure
-  use battery_files, only: file_exists, write_parts, file_stamp_type
+  use battery_files, only: file_exists, write_parts, file_stamp_type, has_stamp
   use battery_foreign_bytes, only: is_results_file
   use battery_file_text, only: read_file
   use battery_paths, only: is_folder, set_system_error
   implicit none (type, external)
   private
-  public :: write_with_footer, check_footer, check_discardable, copy_with_footer
+  public :: write_with_footer, check_footer, check_discardable, check_unchanged, copy_with_footer
 
   !> Length of the footer in bytes; hexadecimal digits of a digest.
   integer, parameter :: footer_length = 512, digest_length = 64
@@ -116,7 +116,6 @@ contains
     !> Stamp of the file that was read, also after an error.
     type(file_stamp_type), intent(out), optional :: stamp
     character(len=footer_length) :: footer
-    character(len=digest_length) :: digits
     character(len=:), allocatable :: first
     type(file_stamp_type) :: seen
     integer(int64) :: bytes, content
@@ -129,7 +128,7 @@ contains
     bytes = 0
     footer = ''
     status = c_digest_file(name//c_null_char, int(footer_length, c_int64_t), first, int( &
-      beginning, c_int64_t), footer, digits, bytes, seen%mark)
+      beginning, c_int64_t), footer, seen%digest, bytes, seen%mark)
     if (present(stamp)) stamp = seen
     content = merge(bytes - footer_length, bytes, bytes > footer_length)
     if (content < beginning) first = first(:content)
@@ -139,9 +138,9 @@ contains
     else if (status > 0) then
       call set_system_error(status, name//' cannot be read to its end', error)
       error%code = exit_bad_input
-    else if (footer == footer_text(content, digits)) then
+    else if (footer == footer_text(content, seen%digest)) then
       return
-    else if (index(footer, first_line) == 1 .and. (digest_in(footer) /= digits .or. &
+    else if (index(footer, first_line) == 1 .and. (digest_in(footer) /= seen%digest .or. &
       end_in_hdf5(first) /= content)) then
       call fatal_error(error, name//' is damaged: its digest is wrong', exit_failure)
     else if (end_in_hdf5(first) > 0 .and. end_in_hdf5(first) <= bytes .and. has_mark(name, &
@@ -227,6 +226,23 @@ contains
         + digest_length) == new_line('a')) return
     end do
   end function digest_in
+
+  !> Checks that a results file is what it was when it was read. If another program has touched it,
+  !> or copied it back, it has the same digest, and its stamp is renewed.
+  subroutine check_unchanged(name, stamp, error)
+    !> Path of the file.
+    character(len=*), intent(in) :: name
+    type(file_stamp_type), intent(inout) :: stamp
+    !> It is another file, or there is none any more.
+    type(error_type), allocatable, intent(out) :: error
+    type(file_stamp_type) :: now
+
+    if (has_stamp(name, stamp)) return
+    call check_footer(name, error, stamp=now)
+    if (.not. allocated(error) .and. now%digest /= stamp%digest) &
+      call fatal_error(error, name//' is another file now')
+    if (.not. allocated(error)) stamp = now
+  end subroutine check_unchanged
 
   !> Checks that a file may be removed: a results file, whole or not. A namelist, or an HDF5 file of
   !> another program, stays.

@@ -1,5 +1,7 @@
 /* A file system that lacks something: loaded before a program (LD_PRELOAD), it makes `flock`, and `fsync` of a
-   folder, fail with the error numbers in the variables NO_FLOCK and NO_FOLDER_SYNC, and the call that NO_CALL
+   folder or of a file that is open for reading only, fail with the error numbers in the variables NO_FLOCK,
+   NO_FOLDER_SYNC and NO_SYNC_FOR_READING; with SIGNALS set, signals interrupt every second open, fsync, ftruncate
+   and close of journals and new results (a close is done). The call that NO_CALL
    names (read, pread64, opendir, readdir, stat, lstat, access, mkdir) with that in NO_CALL_WITH, from the
    NO_CALL_AFTER-th such call on, of paths that end with NO_CALL_OF; a renameat2 so named is done before. With
    HANGUP_HANDLER set, a handler of SIGHUP is there before the program begins, as UCX sets one. */
@@ -7,7 +9,9 @@
 #include <dirent.h>
 #include <dlfcn.h>
 #include <errno.h>
+#include <fcntl.h>
 #include <signal.h>
+#include <stdarg.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
@@ -39,14 +43,47 @@ static int fails(const char *call, const char *path) {
   return 1;
 }
 
-/* Whether a call fails for an open file. */
-static int fails_for(const char *call, int file) {
-  char link[64], path[4096];
+/* Path of an open file; empty: it has none. */
+static const char *path_of(int file) {
+  static char path[4096];
+  char link[64];
   snprintf(link, sizeof link, "/proc/self/fd/%d", file);
-  ssize_t length = getenv("NO_CALL") == NULL ? -1 : readlink(link, path, sizeof path - 1);
-  if (length < 0) return 0;
-  path[length] = '\0';
-  return fails(call, path);
+  ssize_t length = readlink(link, path, sizeof path - 1);
+  path[length < 0 ? 0 : length] = '\0';
+  return path;
+}
+
+/* Whether a call fails for an open file. */
+static int fails_for(const char *call, int file) { return getenv("NO_CALL") != NULL && fails(call, path_of(file)); }
+
+/* Whether a signal interrupts a call: the first of every two of its kind; sets errno then. */
+static int interrupts(const char *path, int *calls) {
+  if (getenv("SIGNALS") == NULL || (strstr(path, "out.h5.tasks") == NULL && strstr(path, "out.h5.part") == NULL)
+      || ++*calls % 2 == 0) return 0;
+  errno = EINTR;
+  return 1;
+}
+
+int open(const char *path, int how, ...) {
+  static int calls = 0;
+  va_list more;
+  va_start(more, how);
+  mode_t mode = how & (O_CREAT | __O_TMPFILE) ? va_arg(more, mode_t) : 0;
+  va_end(more);
+  return interrupts(path, &calls) ? -1 : NEXT(int (*)(const char *, int, ...), "open")(path, how, mode);
+}
+
+int ftruncate(int file, off_t length) {
+  static int calls = 0;
+  return interrupts(path_of(file), &calls) ? -1 : NEXT(int (*)(int, off_t), "ftruncate")(file, length);
+}
+
+int close(int file) {
+  static int calls = 0;
+  int interrupted = getenv("SIGNALS") != NULL && interrupts(path_of(file), &calls);
+  int status = NEXT(int (*)(int), "close")(file);
+  if (interrupted) errno = EINTR;
+  return interrupted ? -1 : status;
 }
 
 int flock(int file, int operation) {
@@ -55,9 +92,12 @@ int flock(int file, int operation) {
 }
 
 int fsync(int file) {
+  static int calls = 0;
   struct stat found;
-  int number = number_in("NO_FOLDER_SYNC");
-  if (number == 0 || fstat(file, &found) != 0 || !S_ISDIR(found.st_mode)) return NEXT(int (*)(int), "fsync")(file);
+  int is_folder = fstat(file, &found) == 0 && S_ISDIR(found.st_mode);
+  int reads = (fcntl(file, F_GETFL) & O_ACCMODE) == O_RDONLY;
+  int number = is_folder ? number_in("NO_FOLDER_SYNC") : reads ? number_in("NO_SYNC_FOR_READING") : 0;
+  if (number == 0) return interrupts(path_of(file), &calls) ? -1 : NEXT(int (*)(int), "fsync")(file);
   errno = number;
   return -1;
 }
