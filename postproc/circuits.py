@@ -150,7 +150,8 @@ class Circuit:
         >>> round(state.mass_spread, 3), round(state.net_current, 2)
         (0.937, 0.95)
         """
-        if not (isinstance(age, (int, float, np.number)) and age >= 0.0):
+        age = plain_value(age)
+        if not (isinstance(age, (int, float)) and age >= 0.0):
             raise InputError(f"age = {age}; allowed: one number from 0 up")
         known, own = _one(theory), self.model(age)
         found = known.states(own)

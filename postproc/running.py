@@ -313,7 +313,7 @@ def _work_folder(place: Path) -> Iterator[Path]:
 def _reason(code: int, errors: str, output: str) -> str:
     """Return why a run did not complete."""
     if code == STOPPED:
-        return "stopped early, the state is saved: the same call goes on"
+        return "stopped early, the state is saved: the same call, without overwrite, goes on"
     failures = [line for line in output.splitlines() if " failed: " in line]
     return errors or "\n".join(failures) or f"the program ended with {code}"
 

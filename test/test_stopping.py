@@ -2,16 +2,23 @@
 
 from __future__ import annotations
 
+import os
 import signal
+import subprocess
+import termios
+import time
 from typing import TYPE_CHECKING
 
 import pytest
 from support.program import (
+    ALONE,
+    PROGRAM,
     finish,
     hears,
     run,
     send,
     under_way,
+    wait_for,
     write_case,
 )
 
@@ -84,6 +91,22 @@ def test_nohup_keeps_a_run_from_the_signal_of_its_terminal(
     send([process.pid], signal.SIGHUP)
     send([process.pid], signal.SIGUSR1)
     assert finish(process).returncode == 3
+
+
+def test_a_run_does_not_wait_for_a_terminal_that_takes_no_text(tmp_path: Path) -> None:
+    """Ctrl-S, a connection that does not answer: states are saved, and a request to stop is heard."""
+    write_case(CASE, tmp_path)
+    _, terminal = os.openpty()
+    termios.tcflow(terminal, termios.TCOOFF)
+    with subprocess.Popen([PROGRAM, "case.nml"], cwd=tmp_path, env=ALONE, stdout=terminal) as process:
+        saved = lambda: list((tmp_path / "out.h5.tasks").glob("task_*"))  # noqa: E731
+        assert wait_for(saved, process)
+        send([process.pid], signal.SIGUSR1)
+        time.sleep(1.0)  # until it says that it has stopped
+        before = {path: path.read_bytes() for path in saved()}
+        termios.tcflow(terminal, termios.TCOON)
+        assert process.wait(60) == 3
+    assert {path: path.read_bytes() for path in saved()} == before
 
 
 @pytest.mark.full

@@ -117,6 +117,8 @@ def circuit_of(namelist: str | Path | Groups) -> tuple[Groups, Model]:
 def _of_one_point(namelist: str | Path | Groups) -> tuple[str, dict[str, Any]]:
     """Return name and groups of a namelist, with what it scans, of one value, in their groups."""
     path, groups = _groups_of(namelist)
+    for keys in groups.values():  # Fortran pads texts with blanks
+        keys |= {key: one.rstrip() for key, one in keys.items() if isinstance(one, str)}
     table = groups.get("table", {})
     for key, usual in (("shape", "circuit"), ("urn_shape", "disc")):
         if table.get(key) == usual:

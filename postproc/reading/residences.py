@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 
 from postproc.cli import InputError
-from postproc.reading.points import PARAMETERS, flat
+from postproc.reading.points import FRACTIONS, PARAMETERS, flat
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -54,7 +54,7 @@ def residences(series: xr.Dataset, *, low: float = 0.2, high: float = 0.7) -> pd
     time = np.asarray(series["time"], float)
     for at in range(points.sizes["point"]):
         one = points.isel(point=at)
-        about = {name: one[name].item() for name in PARAMETERS
+        about = {name: one[name].item() for name in (*PARAMETERS, *FRACTIONS.values())
                  if name in one and one[name].ndim == 0}  # fmt: skip
         for place, replica in enumerate(points["replica"].values.tolist()):
             first = np.asarray(one["urn1_number"].isel(replica=place), float)

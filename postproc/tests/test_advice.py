@@ -81,6 +81,10 @@ def test_a_namelist_and_the_same_circuit_by_options(
     assert set(names) < set(one)
     assert one["rung"] == "excursion"
     assert f"{one['replicas']} replicas of {one['duration']:g} time units" in sentence
+    padded = tmp_path / "padded.nml"  # as Fortran writes texts
+    padded.write_text(CASE.replace("&table", "&table shape = 'circuit     ',"))
+    assert call("advise", [str(padded), "--tolerance", "0.002"]) == 0
+    assert told(capsys)[0]["rung"] == "excursion"
     words = ["--number", "100", "--threshold", "2", "3", "--urn-radius", "1.1", "0.9"]
     words += ["--channel1-width", "0.4", "--channel2-width", "0.02", "--tolerance", "0.002"]
     assert call("advise", words) == 0

@@ -659,6 +659,13 @@ def test_series_come_with_a_part_of_the_dataset(
     assert (ends["start"] + ends["duration"]).unique().tolist() == [100.0]
 
 
+def test_stays_of_runs_from_several_starts_are_told_apart(tmp_path: Path) -> None:
+    scan = {"urn1_fraction": [0.0, 0.5], "replicas": 2}
+    path = results_of(tmp_path / "run.h5", scan=scan, run={"duration": 30.0})
+    stays = postproc.residences(postproc.open_results(path).series)
+    assert stays.groupby(["urn1_fraction", "replica"])["duration"].sum().tolist() == [30.0] * 4
+
+
 def test_urns_are_alike_at_the_bounds_of_states() -> None:
     """Where |N1 - N2|/N is 0.9 to the last digit."""
     first = xr.DataArray([[95.0, 95.0], [5.0, 5.0]], dims=("replica", "time"))

@@ -339,6 +339,22 @@ def test_unequal_gates_drive_the_measured_current_through_a_wide_channel_2(
 
 
 @pytest.mark.parametrize(
+    ("circuit", "chi"),
+    [
+        (Circuit(1031, 16, 0.1, 1e-4, channel1_length=5.0, channel2_length=5.0), 0.995),
+        (Circuit(7500, 65), 0.930),
+        (Circuit(10000, 95, channel2_length=0.3), 0.932),
+    ],
+)
+def test_large_gates_have_the_states_of_runs(circuit: Circuit, chi: float) -> None:
+    """Of two runs each, from equal urns too, though the iteration overshoots."""
+    (state,) = direction.stationary_states(circuit)
+    assert state.kind == "stable"
+    assert state.mass_spread == pytest.approx(chi, abs=0.002)
+    assert direction.homogeneous_kind(circuit) == "unstable"
+
+
+@pytest.mark.parametrize(
     ("circuit", "message"),
     [
         (Circuit(1000, 7, channel2_width=1.7), "it knows widths of channel 2 up to 1, the radius"),

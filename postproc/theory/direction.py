@@ -30,7 +30,7 @@ the other, by the cosine law.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from itertools import pairwise
 from typing import TYPE_CHECKING
@@ -58,11 +58,12 @@ if TYPE_CHECKING:
 POLYNOMIALS = 12
 DIFFUSION = 1.0 / 6.0 - 1.0 / math.pi**2  # D of narrow openings, in (w/r)^2 per visit
 NARROWEST = 1e-9  # width of channel 2, in radii, that represents a closed one
-ROUNDS = 80  # at most, of the iteration of gates and flows
-AGREED = 1e-5  # change of q, and of flows relative to the largest, at which it ends
-KEPT = 0.3  # weight of q of the previous iteration, against overshooting
+ROUNDS = 56  # at most, of the iteration of gates and flows, over the weight of new q
+AGREED = 1e-5 / 0.7  # change of q, and of flows relative to the largest, at which it ends
+TAKEN = (0.7, 0.3, 0.1)  # weights of new q, a smaller one if a larger one overshoots
 LEAST_SHARE = 1e-3  # of the particles in urns, in the emptier one, down to which all is computed
-EVENLY, FALLING = 10, 10  # points down to a tenth, and from there to `LEAST_SHARE`
+LAST_EVEN = 0.1  # of them, down to which points are even
+EVENLY, FALLING = 10, 10  # points down to that, and from there to `LEAST_SHARE`
 FURTHER, FEWEST = 10.0**-0.5, 1e-12  # step and end of shares below it, until a state is passed
 NEARER, NEAREST = 5, 40  # bisections of the last step towards what channel 2 alone brings, or more
 APART = 1e-3  # of N, least distance of a state from a point of `scan` for flows of its own
@@ -169,6 +170,7 @@ class Held:
     passing : q at the nodes of `fate.directions`, shape (urn, node).
     in_urn, in_half : numbers in the urns, and in the halves.
     through : flow through each gate per unit time.
+    agreed : whether the iteration that finds them has come to its end.
     """
 
     entries: Floats
@@ -177,6 +179,7 @@ class Held:
     in_urn: Floats
     in_half: Floats
     through: Floats
+    agreed: bool = False
 
     @property
     def net_current(self) -> float:
@@ -187,6 +190,11 @@ class Held:
     def possible(self) -> bool:
         """Whether all flows are positive: an urn holds at least what channel 2 brings."""
         return bool(self.entries[:, 0].min() > 0.0 and self.across[:, 0].min() > 0.0)
+
+    @property
+    def known(self) -> bool:
+        """Whether flows are found."""
+        return self.possible and self.agreed
 
     @property
     def sent(self) -> Floats:
@@ -215,8 +223,8 @@ class Directions:
         self.stays = half / np.sqrt((1.0 - self.sine) * (1.0 + self.sine))
 
     def allow(self, held: Held) -> bool:
-        """Whether flows are possible and, of equal circuits, the fuller urn 2 feeds channel 2."""
-        return held.possible and (not self.circuit.alike or held.net_current >= 0.0)
+        """Whether flows are found and, of equal circuits, the fuller urn 2 feeds channel 2."""
+        return held.known and (not self.circuit.alike or held.net_current >= 0.0)
 
     def held(self, share: float, start: Held | None = None) -> Held:
         """Return the circuit held with N particles, given urn 1's share of those in urns.
@@ -233,18 +241,28 @@ class Directions:
                 entries[k, 0] = per_width * float(one.channel1_width)
                 across[k, 0] = per_width * float(one.channel2_width)
             found = self._with_fates(entries, across, parts)
-        for _ in range(ROUNDS):
+        first = found
+        for taken in TAKEN:
+            found = self._iterated(share, first, taken)
+            if found.agreed or not found.possible:
+                break
+        return found
+
+    def _iterated(self, share: float, found: Held, taken: float) -> Held:
+        """Return the last iteration of gates and flows with a weight of new q."""
+        least = AGREED * taken
+        for _ in range(round(ROUNDS / taken)):
             parts = np.array([share, 1.0 - share]) * found.in_urn.sum()
-            parts *= number / found.in_half.sum()
+            parts *= float(self.circuit.number) / found.in_half.sum()
             entries, across = self._flows(found.passing, parts)
-            before, found = found, self._with_fates(entries, across, parts, found.passing)
+            before, found = found, self._with_fates(entries, across, parts, found.passing, taken)
             if not found.possible:
                 break
             changed = np.abs(found.entries - before.entries).max()
-            if changed <= AGREED * np.abs(found.entries).max() and np.all(
-                np.abs(found.passing - before.passing) < AGREED
+            if changed <= least * np.abs(found.entries).max() and np.all(
+                np.abs(found.passing - before.passing) < least
             ):
-                break
+                return replace(found, agreed=True)
         return found
 
     def _flows(self, passing: Floats, parts: Floats) -> tuple[Floats, Floats]:
@@ -278,8 +296,9 @@ class Directions:
         return solution[:2], solution[2:]
 
     def _with_fates(
-        self, entries: Floats, across: Floats, parts: Floats, before: Floats | None = None
-    ) -> Held:
+        self, entries: Floats, across: Floats, parts: Floats, before: Floats | float = 0.0,
+        taken: float = 1.0,
+    ) -> Held:  # fmt: skip
         """Return flows with the q that they determine, mixed with those of `before`."""
         density = np.maximum(entries @ self.basis, 0.0) * self.weights
         rates = np.maximum(density.sum(axis=1), 1e-300)
@@ -290,8 +309,7 @@ class Directions:
                 for one, rate, law in zip(self.sides, rates, density, strict=True)
             ]
         )
-        if before is not None:
-            passing = (1.0 - KEPT) * passing + KEPT * before
+        passing = taken * passing + (1.0 - taken) * before
         through = (passing * density).sum(axis=1)
         thresholds = np.array([float(one.threshold) for one in self.sides])
         beyond = (passing * density) @ self.stays
@@ -304,8 +322,8 @@ class Directions:
 
 def _shares() -> Floats:
     """Return shares of an urn at which a circuit is held, decreasing from almost 1/2."""
-    even = np.linspace(0.5 * (1.0 - NEXT_TO_EQUAL), 0.1, EVENLY)
-    return np.concatenate([even, np.geomspace(0.1, LEAST_SHARE, FALLING + 1)[1:]])
+    even = np.linspace(0.5 * (1.0 - NEXT_TO_EQUAL), LAST_EVEN, EVENLY)
+    return np.concatenate([even, np.geomspace(LAST_EVEN, LEAST_SHARE, FALLING + 1)[1:]])
 
 
 def _excess(held: Held, urn: int = 0) -> float:
@@ -342,7 +360,7 @@ def _emptied(equations: Directions, urn: int) -> list[tuple[float, Held]]:
             held = equations.held(share1, found[-1][1] if found else None)
             if equations.allow(held):
                 found.append((shares.pop(0), held))
-            elif found:
+            elif found and not (held.possible and shares[0] > LAST_EVEN):
                 shares, tries = [0.5 * (found[-1][0] + shares[0])], tries + 1
             else:
                 shares.pop(0)
@@ -356,10 +374,13 @@ def _emptied(equations: Directions, urn: int) -> list[tuple[float, Held]]:
 def growth(circuit: Circuit) -> float:
     """Return a number with the sign of the growth of a small difference between equal urns."""
     equations = Directions(circuit)
-    held = equations.held(0.5 * (1.0 - NEXT_TO_EQUAL))
+    here, beside = _shares()[:2]
+    held = equations.held(here)
+    # the fuller urn may gain by channel 2 next to equal urns, if it feeds it farther off
+    known = equations.allow(held) or (held.known and equations.allow(equations.held(beside)))
     # a channel 2 that represents a closed one must carry less than the gates
     closed = float(circuit.channel2_width) < NARROWEST * float(circuit.urn_radius)
-    if not equations.allow(held) or (closed and held.across[0, 0] > held.through[0]):
+    if not known or (closed and held.across[0, 0] > held.through[0]):
         raise _no_flows(circuit)
     return _excess(held)
 

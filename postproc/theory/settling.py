@@ -15,7 +15,7 @@ eigenvalue, without the component that changes numbers.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -123,7 +123,8 @@ def settling(circuit: Circuit) -> Settling:
 
 
 def _mirrored(held: Held) -> Held:
-    return direction.Held(*(one[::-1] for one in vars(held).values()))
+    by_urn = {name: one[::-1] for name, one in vars(held).items() if name != "agreed"}
+    return replace(held, **by_urn)
 
 
 def _sent(equations: Directions, held: Held, settled: Held) -> float:

@@ -7,7 +7,7 @@ module battery_progress_line
   use battery_clocks, only: wall_seconds
   use battery_communicator, only: task_queue_type, read_counter, &
     tasks_finished, collisions_done
-  use battery_terminal, only: print_line, print_text, is_terminal
+  use battery_terminal, only: print_line, print_text, is_terminal, output_is_ready
   use battery_text, only: duration_text, rate_text
   implicit none (type, external)
   private
@@ -65,6 +65,8 @@ contains
     now = wall_seconds()
     if (.not. progress_line%speaks .or. now < progress_line%next) return
     progress_line%next = now + progress_line%interval
+    ! A run does not wait for its terminal: it would save no states, and hear no request to stop.
+    if (.not. output_is_ready()) return
     finished_before = progress_line%tasks - task_queue%tasks
     finished = int(read_counter(task_queue, tasks_finished)) + finished_before
     done_before = real(finished_before, dp)/progress_line%tasks

@@ -20,7 +20,7 @@ module battery_summary
 
   !> What a run that was stopped early says.
   character(len=*), parameter :: stopped_text = &
-    'stopped early, the state is saved: the same command goes on'
+    'stopped early, the state is saved: the same command, without --overwrite, goes on'
 
   !> Up to this many tasks are printed one by one; up to this many points, with averages over their
   !> replicas. If some are not, the command that prints all is.

@@ -1,6 +1,7 @@
-/* Standard streams that are closed, and whether standard output is a terminal, for terminal.f90. */
+/* Standard streams that are closed, and what standard output is and takes, for terminal.f90. */
 #include <errno.h>
 #include <fcntl.h>
+#include <poll.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <unistd.h>
@@ -17,6 +18,14 @@ void terminal_guard(void)
         close(null);
       }
     }
+}
+
+/* Whether standard output takes text without waiting: a terminal may be stopped (Ctrl-S, a connection that
+   does not answer), and a pipe full. */
+int terminal_takes_text(void)
+{
+  struct pollfd output = {.fd = STDOUT_FILENO, .events = POLLOUT};
+  return poll(&output, 1, 0) != 0;
 }
 
 /* Whether the parent's standard output is a terminal, as far as this can be determined. */

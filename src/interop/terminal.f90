@@ -7,6 +7,7 @@ module battery_terminal
   implicit none (type, external)
   private
   public :: guard_streams, print_line, print_text, print_error, all_was_printed, is_terminal
+  public :: output_is_ready
 
   !> Descriptors of standard output and standard error.
   integer(c_int), parameter :: output = 1, errors = 2
@@ -18,7 +19,7 @@ module battery_terminal
   !> file that gets their descriptor; to be called before any file is opened.
   procedure(action), bind(c, name='terminal_guard') :: guard_streams
 
-  procedure(returns_number), bind(c) :: terminal_output
+  procedure(returns_number), bind(c) :: terminal_output, terminal_takes_text
 
   interface
     !> Writes without a buffer, so that failed writes are known; returns 0 or an error number.
@@ -72,5 +73,11 @@ contains
 
     is_terminal = terminal_output() /= 0
   end function is_terminal
+
+  !> Whether a line can be printed on standard output without waiting.
+  logical function output_is_ready()
+
+    output_is_ready = terminal_takes_text() /= 0
+  end function output_is_ready
 
 end module battery_terminal
