@@ -136,9 +136,8 @@ def write_namelist(
     namelist.column_width = 100
     text = f"{namelist}\n"
     if place is not None:
-        text = f"! {MARK}\n{text}"
         with replaced(place) as half:
-            half.write_text(text, encoding="utf-8")
+            half.write_text(f"! {MARK}\n{text}", encoding="utf-8")
     return text
 
 
@@ -381,7 +380,7 @@ def _namelist_file(namelist: str | Path | Groups, program: Path, folder: Path) -
     if not isinstance(namelist, Mapping):
         return existing_file(path_of(namelist, "namelist")).resolve()
     path = folder / "namelist.nml"
-    write_namelist(path, namelist, program=program)
+    path.write_text(write_namelist(None, namelist, program=program), encoding="utf-8")
     return path
 
 

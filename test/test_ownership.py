@@ -301,7 +301,7 @@ def test_what_an_owner_says_of_itself_gives_no_orders_to_a_terminal(tmp_path: Pa
 
 
 def test_results_that_are_only_touched_are_extended(tmp_path: Path) -> None:
-    """Another time, or another copy of the same bytes: the results of before are in the new file."""
+    """Another time, or a copy of the same bytes: the results of before are in the new file."""
     output = tmp_path / "out.h5"
     write(tmp_path)
     assert program.run("case.nml", folder=tmp_path).returncode == 0

@@ -50,7 +50,8 @@ def test_a_run_of_values_is_the_run_of_its_namelist(
     there = postproc.run(CASE, folder=tmp_path / "values", quiet=True)
     assert there == tmp_path / "values/it's.h5"
     text = postproc.write_namelist(tmp_path / "in.nml", CASE)
-    assert text == (tmp_path / "in.nml").read_text(encoding="utf-8")
+    assert (tmp_path / "in.nml").read_text("utf-8") == f"! written by battery-postproc\n{text}"
+    (tmp_path / "in.nml").write_text(text, encoding="utf-8")
     assert "snapshot_times" not in text
     assert run_program("in.nml", folder=tmp_path).returncode == 0
     assert_same(there, tmp_path / "it's.h5")

@@ -94,12 +94,16 @@ def test_nohup_keeps_a_run_from_the_signal_of_its_terminal(
 
 
 def test_a_run_does_not_wait_for_a_terminal_that_takes_no_text(tmp_path: Path) -> None:
-    """Ctrl-S, a connection that does not answer: states are saved, and a request to stop is heard."""
+    """Ctrl-S, a lost connection: states are saved, and a request to stop is heard."""
     write_case(CASE, tmp_path)
     _, terminal = os.openpty()
     termios.tcflow(terminal, termios.TCOOFF)
-    with subprocess.Popen([PROGRAM, "case.nml"], cwd=tmp_path, env=ALONE, stdout=terminal) as process:
-        saved = lambda: list((tmp_path / "out.h5.tasks").glob("task_*"))  # noqa: E731
+    command = [PROGRAM, "case.nml"]
+
+    def saved() -> list[Path]:
+        return list((tmp_path / "out.h5.tasks").glob("task_*"))
+
+    with subprocess.Popen(command, cwd=tmp_path, env=ALONE, stdout=terminal) as process:
         assert wait_for(saved, process)
         send([process.pid], signal.SIGUSR1)
         time.sleep(1.0)  # until it says that it has stopped
