@@ -76,6 +76,7 @@ help: ## lists the targets
 
 demo: build $(COMMANDS) ## builds, runs namelists/quickstart.nml on 2 ranks, draws the pictures
 	@mkdir -p build/demo
+	rm -f build/demo/quickstart_*
 	cd build/demo
 	mpirun -n $(RANKS) $(CURDIR)/$(PROGRAM) --overwrite ../../namelists/quickstart.nml
 	for name in flows scene; do $(CURDIR)/$(COMMANDS) plot $$name quickstart.h5 > log; done
