@@ -360,9 +360,9 @@ def _emptied(equations: Directions, urn: int) -> list[tuple[float, Held]]:
             held = equations.held(share1, found[-1][1] if found else None)
             if equations.allow(held):
                 found.append((shares.pop(0), held))
-            elif found and not (held.possible and shares[0] > LAST_EVEN):
+            elif found and (tries or not held.possible or shares[0] <= LAST_EVEN):
                 shares, tries = [0.5 * (found[-1][0] + shares[0])], tries + 1
-            else:
+            else:  # next to equal urns the fuller one may gain by channel 2
                 shares.pop(0)
             gains = not found or _excess(found[-1][1], urn) <= 0.0
             if not (shares or gains) and found[-1][0] > FEWEST:
