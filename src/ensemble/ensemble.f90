@@ -141,8 +141,8 @@ contains
         if (all_tasks_complete(results)) then
           call remove_journal(sources%folder, error)
         else
-          call fatal_error(error, 'some results in '//sources%folder//' cannot be read back; ' &
-            //'the same command computes them again')
+          call fatal_error(error, 'some results cannot be read back from '//sources%folder//' or ' &
+            //plan%file//'; the same command computes them again')
         end if
       end if
     end if
