@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 
 GROUPS = ("series", "snapshots", "final", "events")
 TOGETHER = 256  # tasks whose series are read at a time
+RUN = ("seed", "collisions", "time")  # together they tell runs apart
 HINTS = {
     "series": " (set series_interval in &output)",
     "snapshots": " (set snapshot_times in &output)",
@@ -61,6 +62,8 @@ def group_of(data: xr.Dataset, group: str) -> xr.Dataset:
                 raise InputError(f"{path}: has changed since it was opened")
             if not opened.has(group):
                 raise InputError(f"{path}: has no {group}{HINTS.get(group, '')}")
+            there = mine[complete.values.ravel()[mine]]
+            _need_runs_of(data, opened, places[there].astype(int), there)
             parts.append(opened.dataset(group, places[mine].astype(int)).assign_coords(row=mine))
     counted = [name for name in parts[0].dims if name not in parts[0].indexes]
     parts = [one.assign_coords({name: np.arange(one.sizes[name]) for name in counted})
@@ -76,6 +79,21 @@ def group_of(data: xr.Dataset, group: str) -> xr.Dataset:
             variables[name] = on_grid if whole else on_grid.where(complete)
     shared = [name for name in (*PARAMETERS, "task") if name in data and name not in found]
     return data[shared].assign(variables)
+
+
+def _need_runs_of(
+    data: xr.Dataset, opened: ResultsFile, tasks: NDArray[np.int_], rows: NDArray[np.int_]
+) -> None:
+    """Raise `InputError` unless the runs of a dataset are those of the file, by seed and length.
+
+    `xr.concat` keeps the file of the first part only.
+    """
+    for name in RUN:
+        if name in data and set(data[name].dims) == set(data["task"].dims) and opened.has(name):
+            given = data[name].transpose(*data["task"].dims).values.ravel()[rows]
+            if not np.array_equal(given, opened.of_tasks(name, tasks)):
+                told = "postproc.merge joins results, xarray.concat does not"
+                raise InputError(f"{opened.path}: some of the runs are of another file; {told}")
 
 
 def created(data: xr.Dataset) -> list[str]:

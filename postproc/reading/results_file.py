@@ -139,6 +139,10 @@ class ResultsFile:
             variables[name] = dimensions, _values(one, rows), _meaning(one)
         return xr.decode_cf(xr.Dataset(variables), decode_times=False)
 
+    def of_tasks(self, name: str, tasks: NDArray[np.int_]) -> NDArray[np.generic]:
+        """Return the values of a dataset of (point, replica) at these places."""
+        return _values(self._dataset(name), tasks)
+
     def has(self, name: str) -> bool:
         """Tell whether there is a dataset or group of that name."""
         return self._found(name) is not None

@@ -685,6 +685,11 @@ def test_merged_results_have_their_series_each_to_its_end(tmp_path: Path) -> Non
         assert shown[: own.size].tolist() == own.tolist()
         assert np.isnan(shown[own.size :]).all()
     both = postproc.merge([postproc.merge(paths[:1]), paths[1]])
+    joined = xr.concat([short, long], "replica")
+    assert joined.isel(replica=[0]).series["urn1_number"].notnull().any()
+    for part in (joined, joined.isel(replica=1)):
+        with pytest.raises(InputError, match="runs are of another file"):
+            part.series  # noqa: B018 (it reads)
     with edited(paths[1]) as file:
         file.attrs["created"] = np.bytes_("2000-01-01T00:00:00Z")
     assert both.isel(replica=[0]).series["urn1_number"].notnull().any()
