@@ -178,6 +178,27 @@ def test_what_shrinks_is_refused(
     assert listing(tmp_path) == before
 
 
+def test_growth_that_is_given_up_leaves_the_results(tmp_path: Path) -> None:
+    """They are of the input of before; the journal is not, and can be removed."""
+    write(tmp_path)
+    complete(tmp_path)
+    write(tmp_path, scan={"replicas": 100000})
+    process = start("case.nml", folder=tmp_path)
+    assert wait_for((tmp_path / "out.h5.tasks/rank_0").exists, process)
+    process.send_signal(signal.SIGTERM)
+    assert finish(process).returncode == 3
+    write(tmp_path)
+    for words in (["case.nml"], ["--check", "case.nml"], ["--partial", "case.nml"]):
+        ended = run(*words, folder=tmp_path)
+        assert ended.returncode == 2
+        assert ended.stderr.startswith("out.h5.tasks was made from another input; these differ:")
+        assert "&scan replicas: was 100000, is 2" in ended.stderr
+        assert "or remove this folder; out.h5 stays as it is" in ended.stderr
+        assert "--overwrite" not in ended.stderr
+    shutil.rmtree(tmp_path / "out.h5.tasks")
+    assert "is complete" in run("case.nml", folder=tmp_path).stdout
+
+
 def test_other_output_is_refused(tmp_path: Path) -> None:
     """What is kept beside the averages cannot be had of tasks that are finished."""
     write(tmp_path)

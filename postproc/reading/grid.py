@@ -347,7 +347,7 @@ def selected(data: xr.Dataset, values: dict[str, float]) -> xr.Dataset:
     """Return the points with these values of keys; raise `InputError` if there are none."""
     for key, value in values.items():
         # Merged points that are no grid have values of their own.
-        names = [*map(str, data["task"].dims), *PARAMETERS, *FRACTIONS.values()]
+        names = dict.fromkeys([*map(str, data["task"].dims), *PARAMETERS, *FRACTIONS.values()])
         known = [one for one in names if one in data and data[one].dims in ((one,), ("point",))]
         if key not in known:
             raise InputError(

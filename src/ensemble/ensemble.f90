@@ -142,7 +142,7 @@ contains
           call remove_journal(sources%folder, error)
         else
           call fatal_error(error, 'some results cannot be read back from '//sources%folder//' or ' &
-            //plan%file//'; the same command computes them again')
+            //plan%file//': put back what was moved; the same command computes what is lost again')
         end if
       end if
     end if

@@ -294,7 +294,8 @@ contains
     type(error_type), allocatable, intent(out) :: error
     logical :: same
 
-    call compare_inputs(plan, file%namelist, file%initial_fingerprint, file%plan, same, error)
+    call compare_inputs(plan, plan%file, file%namelist, file%initial_fingerprint, file%plan, same, &
+      error)
     complete = same .and. file%status == 'complete'
     if (allocated(error) .or. file%version == program_version) return
     if (complete .and. .not. is_read) then
@@ -438,7 +439,8 @@ contains
     call find_journal(journal, journal_folder(plan), error)
     if (allocated(error)) return
     if (journal%has_plan) then
-      call compare_inputs(plan, journal%namelist, journal%initial_fingerprint, before, same, error)
+      call compare_inputs(plan, journal_folder(plan), journal%namelist, &
+        journal%initial_fingerprint, before, same, error)
     else if (.not. complete) then
       call find_task_ids(journal, task_id, error)
       if (allocated(error) .or. size(task_id) == 0) return
@@ -452,17 +454,17 @@ contains
 
   !> An error unless the plan has all tasks of an earlier input, so that their results can be used;
   !> the initial file must be the same, too.
-  subroutine compare_inputs(plan, text, initial_fingerprint, before, same, error)
+  subroutine compare_inputs(plan, path, text, initial_fingerprint, before, same, error)
     type(plan_type), intent(in) :: plan
-    !> Its namelist.
-    character(len=*), intent(in) :: text
+    !> The results file or the journal of the earlier input; its namelist.
+    character(len=*), intent(in) :: path, text
     integer(int64), intent(in) :: initial_fingerprint
     !> Its plan.
     type(plan_type), intent(out) :: before
     !> Whether the plan has no other tasks than the earlier input.
     logical, intent(out) :: same
     type(error_type), allocatable, intent(out) :: error
-    character(len=:), allocatable :: keys, longer
+    character(len=:), allocatable :: keys, remedy
     type(error_type), allocatable :: wrong
 
     call parse_namelist(text, plan%file, before, wrong)
@@ -479,13 +481,14 @@ contains
     else
       if (has_all_of(plan, before)) return
     end if
-    longer = ''
-    if (index(keys, '&run collisions') > 0 .or. index(keys, '&run duration') > 0) longer = &
-      new_line_character//'(a run goes on from the &output final_state of another, which is then ' &
-      //'its &particles initial_file)'
-    call fatal_error(error, plan%file//' was made from another input; these differ:' &
-      //new_line_character//keys//new_line_character &
-      //'name another output file, or discard it with --overwrite'//longer, exit_bad_input)
+    remedy = 'name another output file, or discard it with --overwrite'
+    if (path /= plan%file .and. file_exists(plan%file)) remedy = 'go on with that input, or ' &
+      //'remove this folder; '//plan%file//' stays as it is'
+    if (index(keys, '&run collisions') > 0 .or. index(keys, '&run duration') > 0) remedy = remedy &
+      //new_line_character//'(a run goes on from the &output final_state of another, which is ' &
+      //'then its &particles initial_file)'
+    call fatal_error(error, path//' was made from another input; these differ:' &
+      //new_line_character//keys//new_line_character//remedy, exit_bad_input)
   end subroutine compare_inputs
 
   !> Whether a plan has all tasks of an earlier one.
