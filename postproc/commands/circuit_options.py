@@ -49,7 +49,8 @@ def circuit_options(name: str, description: str | None) -> argparse.ArgumentPars
     )  # fmt: skip
     options.add_argument(
         "--theory", "--model", choices=tuple(MODELS),
-        help=f"{meanings} (default: window, and beside it direction, or renewal for polygons)",
+        help=f"{meanings} (default: window, and beside it direction, or renewal for polygons and "
+        "unequal gates or urns)",
     )  # fmt: skip
     return options
 
