@@ -246,7 +246,7 @@ def plan(
     -------
     Plan
         `tasks`, how many of them are `pending`, the `seconds` of a processor that these take, and
-        `memory_a_rank` in bytes.
+        `memory` of each rank in bytes.
 
     Examples
     --------

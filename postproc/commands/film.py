@@ -2,8 +2,8 @@
 
 The film shows the table with its particles; a gate flashes when it reverses (if the run has an
 event log); below are chi and the net current of channel 2 against time (the current if the run has
-a series). Snapshots within 0.6 time units of each other are joined by straight flight, others
-follow each other. MP4, or GIF with `--gif`. Its name begins with that of the results file.
+a series). Snapshots follow each other, as they are. MP4, or GIF with `--gif`. Its name begins with
+that of the results file.
 """
 
 from __future__ import annotations

@@ -79,7 +79,7 @@ def read_scenes(points: xr.Dataset, point: int, replica: int) -> Scenes:
     with suppress(cli.InputError):  # none
         (scenes.series,) = series_of(points, point, replica)
     with suppress(cli.InputError):
-        log = group_of(points, "events")
+        log = group_of(points.isel(point=point, replica=replica), "events")
         turned = log.isel(event=np.flatnonzero(log["kind"] == 2))
         scenes.reversals = turned["time"].values, turned["where"].values
     return scenes

@@ -70,8 +70,8 @@ def map_axes(points: xr.Dataset) -> Keys:
         alone = across or "".join(keys)
         found = f"{alone} alone was scanned" if alone else "here is one point"
     else:
-        places = set(zip(keys[across], keys[up], strict=True))
-        if any(len(set(one)) < len(places) for one in zip(*places, strict=True)):
+        pairs = set(zip(keys[across], keys[up], strict=True))
+        if any(len(set(one)) < len(pairs) for one in zip(*pairs, strict=True)):
             return across, up
         found = f"{across} and {up} change together"
     raise cli.InputError(
@@ -84,12 +84,18 @@ def map_of(points: xr.Dataset, keys: Keys, values: Sequence[object] | Floats) ->
 
     Raises `InputError` if two points have the same place.
     """
-    across, up = (points[name].values for name in keys)
+    across, up = (places(points, name) for name in keys)
     try:
         return pd.Series(values, [up, across]).unstack()
     except ValueError as problem:  # duplicates
         message = "two points have the same T, w' and start: a map shows one"
         raise cli.InputError(message) from problem
+
+
+def places(points: xr.Dataset, key: str) -> Floats:
+    """Return the places of points along a key; T/N is that of the whole T that was run."""
+    as_share = key == "threshold_fraction" and np.unique(points["number"]).size == 1
+    return (points["threshold"] / points["number"] if as_share else points[key]).values
 
 
 def edges(centres: Floats) -> Floats:

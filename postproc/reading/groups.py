@@ -11,7 +11,7 @@ import numpy as np
 import xarray as xr
 
 from postproc.cli import InputError
-from postproc.reading.points import COMPLETE, FLOWS, PARAMETERS, files_of, of_files
+from postproc.reading.points import COMPLETE, FLOWS, FRACTIONS, PARAMETERS, files_of, of_files
 from postproc.reading.results_file import ResultsFile
 
 if TYPE_CHECKING:
@@ -78,7 +78,14 @@ def group_of(data: xr.Dataset, group: str) -> xr.Dataset:
             whole = values.dtype.kind != "f" or complete.all()
             variables[name] = on_grid if whole else on_grid.where(complete)
     shared = [name for name in (*PARAMETERS, "task") if name in data and name not in found]
-    return data[shared].assign(variables)
+    points, clash, start = data[shared], "urn1_number", FRACTIONS["urn1_number"]
+    if clash in found and {clash, "number"} <= set(data.variables):  # N1 of all times, and at first
+        fraction = (data[clash].variable / data["number"].variable) if start not in data else None
+        points = points.drop_vars(clash, errors="ignore").assign(variables)
+        if fraction is not None:
+            points = points.assign_coords({start: fraction})
+        return points.swap_dims({clash: start}) if points[start].dims == (clash,) else points
+    return points.assign(variables)
 
 
 def _need_runs_of(
@@ -89,11 +96,15 @@ def _need_runs_of(
     `xr.concat` keeps the file of the first part only.
     """
     for name in RUN:
-        if name in data and set(data[name].dims) == set(data["task"].dims) and opened.has(name):
-            given = data[name].transpose(*data["task"].dims).values.ravel()[rows]
-            if not np.array_equal(given, opened.of_tasks(name, tasks)):
-                told = "postproc.merge joins results, xarray.concat does not"
-                raise InputError(f"{opened.path}: some of the runs are of another file; {told}")
+        dims, given = data["task"].dims, data.get(name)
+        if given is None or not set(dims) <= set(given.dims) or not opened.has(name):
+            continue
+        same = set(given.dims) == set(dims) and np.array_equal(
+            given.transpose(*dims).values.ravel()[rows], opened.of_tasks(name, tasks)
+        )
+        if not same:
+            told = "postproc.merge joins results, xarray.concat does not"
+            raise InputError(f"{opened.path}: {name} of some runs is not that of the file; {told}")
 
 
 def created(data: xr.Dataset) -> list[str]:
@@ -127,7 +138,8 @@ def each_series(points: xr.Dataset) -> Iterator[tuple[int, xr.Dataset]]:
         part = points.isel(point=slice(first, first + step))
         found = _checked(part, "series", ("urn1_number", *FLOWS))
         found = found.assign_coords(replica=np.arange(found.sizes["replica"]))
-        found["chi"] = abs(part["number"] - 2.0 * found["urn1_number"]) / part["number"]
+        number = part["number"].variable
+        found["chi"] = abs(number - 2.0 * found["urn1_number"].variable) / number
         # The entry at the start has no interval before it.
         known = found[FLOWS[0]].notnull() & (found["urn1_number"] >= 0) & (found["time"] > 0.0)
         for at, replica in np.argwhere(part["complete"].values & known.any("time").values):

@@ -121,6 +121,9 @@ def flat_results(data: xr.Dataset, *needed: str) -> xr.Dataset:
         if name not in points or "replica" in points[name].dims or points[name].isnull().any():
             told = "choose points by sel or isel"
             raise InputError(f"data: {name} is not known at every point; {told}")
+        if name in WHOLE and (points[name] % 1 != 0).any():
+            told = "give other units to a coordinate beside it"
+            raise InputError(f"data: {name} must be whole; {told}")
     return points
 
 
@@ -128,9 +131,9 @@ def by_point(data: xr.Dataset) -> xr.Dataset:
     """Return a dataset with the dimension `point`, and what is known of each point and task.
 
     Coordinates along `point` are the keys of the scan, in its order. Every parameter has a value at
-    each point. Added are `start`, chi at the beginning (`_starts`); `circuit`, whose urns and gates
-    may be unequal; `two_states`, whether replicas are in two (`_two_states`), so that they have no
-    mean; and of each task `asked`, whether it was requested, and `complete`.
+    each point. Added are `circuit`, whose urns and gates may be unequal; `start`, chi at the
+    beginning (`_starts`); `two_states`, whether replicas are in two (`_two_states`), so that they
+    have no mean; and of each task `asked`, whether it was requested, and `complete`.
     """
     points = flat_results(data)
     known = [name for name in PARAMETERS if name in points]
@@ -141,12 +144,12 @@ def by_point(data: xr.Dataset) -> xr.Dataset:
     others = [name for name in known if name not in keys]
     points = points.drop_vars(keys).assign({name: columns[name] for name in others})
     points = points.assign_coords({name: columns[name] for name in keys})
-    points["start"] = "point", _starts(points)
     points["complete"], points["asked"] = status == COMPLETE, status != NOT_ASKED
     points = points.transpose("point", "replica", ...)
-    points["two_states"] = "point", _two_states(points)
     points["circuit"] = "point", np.empty(size, object)
     points["circuit"].values[:] = _circuits(points)
+    points["start"] = "point", _starts(points)
+    points["two_states"] = "point", _two_states(points)
     return points
 
 
@@ -293,13 +296,15 @@ def alike(points: xr.Dataset) -> list[Circuit]:
 
 
 def _starts(points: xr.Dataset) -> Floats:
-    """Return chi at the beginning of each point's runs.
+    """Return chi at the beginning of each point's runs; of unequal urns or gates (N1 - N2)/N.
 
     N1 is rounded to a whole number, so a chi(0) that was asked for is known to 1/N. Points that may
     have one chi(0) have that of the largest N among them.
     """
     number = np.maximum(points["number"].values, 1).astype(float)
-    start = abs(2.0 * points["urn1_number"].values - number) / number
+    start = (2.0 * points["urn1_number"].values - number) / number
+    unlike = np.array([bool(one.unlike) for one in points["circuit"].values], bool)
+    start = np.where(unlike, start, abs(start))
     low, high, found = start - 1.0 / number, start + 1.0 / number, start.copy()
     left = np.isfinite(start)
     while left.any():

@@ -19,6 +19,7 @@ from postproc.figures.maps import (
     edges,
     has_lines,
     map_of,
+    places,
     transition_lines,
 )
 from postproc.reading.grid import groups_in
@@ -70,7 +71,8 @@ def scanned(points: xr.Dataset) -> Scan:
     """Return the scan; T is the horizontal axis of maps and w' the vertical one, if scanned."""
     keys = keys_of(points)
     across, up = axes_of(list(keys))
-    return Scan(keys, across or next(iter(keys), ""), up, second_values(points))  # starts alone
+    shown = {name: places(points, name) for name in keys}
+    return Scan(shown, across or next(iter(keys), ""), up, second_values(points))  # starts alone
 
 
 def label(name: str) -> str:

@@ -58,11 +58,10 @@ def _mean_of_blocks(values: Floats) -> tuple[float, float]:
 
 
 def drifts(chi: Floats) -> bool:
-    """Tell whether chi still moves over the second half of a series, where averages are taken."""
-    late = chi[chi.size // 2 :]
-    if late.size < 4 * BLOCKS:
+    """Tell whether chi still moves over that part of a series where averages are taken."""
+    if chi.size < 4 * BLOCKS:
         return False
-    (one, error1), (other, error2) = (_mean_of_blocks(part) for part in np.array_split(late, 2))
+    (one, error1), (other, error2) = (_mean_of_blocks(part) for part in np.array_split(chi, 2))
     return abs(one - other) > max(DRIFT * np.hypot(error1, error2), 0.02)
 
 
@@ -97,7 +96,7 @@ def warnings(points: xr.Dataset) -> list[str]:
         told = _of_replicas(points.isel(point=at))
         told += _of_current(circuit, *excess[:, at])
         if at in moving:
-            told.append("chi still moves in the second half of replica "
+            told.append("chi still moves while averages are taken, in replica "
                         f"{', '.join(moving[at])}: short transient.")  # fmt: skip
         name = f"T = {circuit.thresholds}, w' = {circuit.channel2_width:.4g}, N = {circuit.number}"
         found += [f"{name}: {text}" for text in told]
@@ -113,7 +112,7 @@ def explanations(points: xr.Dataset) -> list[str]:
             "states. A mean of both would be a third, so none is shown."
         )
     excess, error = _excess(points)
-    above = excess[excess > np.fmax(EXCESS, DRIFT * error)]
+    above = excess[excess > np.maximum(EXCESS, DRIFT * error)]  # none whose error is not known
     if above.size:
         found.append(
             f"At {above.size} of {count} points the net current is more than chi accounts "
@@ -185,7 +184,7 @@ def _of_current(circuit: Circuit, excess: float, error: float) -> list[str]:
     if not excess > 0.0 or circuit.outline is not None:
         return []
     most = memory_factor(circuit) - 1.0
-    if excess - most <= max(EXCESS, DRIFT * error):
+    if not excess - most > np.maximum(EXCESS, DRIFT * error):  # or its error is not known
         return []
     return [
         f"the net current is {100.0 * excess:.0f} % more than the spread accounts for, and memory "
@@ -200,8 +199,10 @@ def _moving(points: xr.Dataset) -> dict[int, list[str]]:
     if points.attrs.get("shape") != "urn":
         with suppress(InputError):  # none was requested
             for at, one in each_series(points):
-                if drifts(one["chi"].values):
-                    found.setdefault(at, []).append(str(int(one["replica"])))
+                replica = int(one["replica"])
+                late = one["time"] > points["transient_time"][at, replica]
+                if drifts(one["chi"].values[late]):
+                    found.setdefault(at, []).append(str(replica))
     return found
 
 

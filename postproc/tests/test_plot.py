@@ -688,7 +688,7 @@ def test_merged_results_have_their_series_each_to_its_end(tmp_path: Path) -> Non
     joined = xr.concat([short, long], "replica")
     assert joined.isel(replica=[0]).series["urn1_number"].notnull().any()
     for part in (joined, joined.isel(replica=1)):
-        with pytest.raises(InputError, match="runs are of another file"):
+        with pytest.raises(InputError, match="of some runs is not that of the file"):
             part.series  # noqa: B018 (it reads)
     with edited(paths[1]) as file:
         file.attrs["created"] = np.bytes_("2000-01-01T00:00:00Z")

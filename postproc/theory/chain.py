@@ -140,9 +140,9 @@ def lifetimes(circuit: Circuit, theory: Theory = WELL_MIXED) -> Lifetimes:
     if not homogeneous and len(polarised) == 1:
         return Lifetimes(0.0, math.inf, math.nan, 1.0)
     number = int(circuit.number)
-    barrier = max(state.urn2_number for state in states if state.kind == "unstable")
-    if not homogeneous:
-        barrier = 0.5 * number
+    barrier = 0.5 * number
+    if homogeneous:
+        barrier = max(state.urn2_number for state in states if state.kind == "unstable")
     offset, last = (number + 1) // 2, number // 2
     wall = int(np.clip(round(barrier) - offset, 1, last - 1))
     far = int(np.clip(round(polarised[-1].urn2_number) - offset, wall + 1, last))

@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     Floats = NDArray[np.float64]
 
 PAPERS_AGE = 1.4e5  # at which the paper's runs end
+NEAREST = 1e-6  # states closer to N/2 than this, relative to it, are the homogeneous one
 WIDTHS_TRIED = 400  # values between 0 and 2r at which a transition is searched for
 
 
@@ -240,14 +241,15 @@ def net_current2(circuit: Circuit, urn2_number: ArrayLike) -> Floats:
 
 
 def homogeneous_kind(circuit: Circuit) -> str:
-    """Return whether N2 = N/2 is "stable" or "unstable" ("neutral": there is no flow)."""
+    """Return whether N2 = N/2 is "stable" or "unstable" ("neutral": there is no flow).
+
+    A state nearer than `NEAREST` is one with it.
+    """
     half = 0.5 * float(np.asarray(circuit.number))
-    if float(circuit.channel2_width) > 0.0:
-        return "stable" if float(stability(circuit, circuit.channel2_width)) >= 0.0 else "unstable"
-    if float(circuit.threshold) == 0.0:
+    if float(circuit.channel2_width) == float(circuit.threshold) == 0.0:
         return "neutral"
-    near = half * (1.0 + 1e-6)
-    difference = log_outflow(circuit, 2.0 * half - near) - log_outflow(circuit, near)
+    near = half * (1.0 - NEAREST)
+    difference = log_outflow(circuit, near) - log_outflow(circuit, 2.0 * half - near)
     return "stable" if float(difference) <= 0.0 else "unstable"
 
 

@@ -17,6 +17,7 @@ import numpy as np
 from scipy import optimize
 
 from postproc.theory.circuit import (
+    NEAREST,
     Circuit,
     homogeneous_kind,
     log_outflow,
@@ -33,8 +34,6 @@ if TYPE_CHECKING:
 
     Passages = Callable[[int, int], float]
     Outflows = Callable[[Circuit], tuple[NDArray[np.float64], NDArray[np.float64]]]
-
-NEAREST = 1e-6  # states closer to N/2 than this, relative to it, are the homogeneous one
 
 
 @dataclass(frozen=True)
@@ -128,17 +127,12 @@ def crossings(
     `values` are those of `balance` there, or of its limit at the first place.
     """
     places, values = _with_close_pairs(balance, places, values)
+    places, values = places[values != 0.0], values[values != 0.0]  # some are, by rounding
     roots: list[tuple[float, str]] = []
     for at in np.flatnonzero(np.sign(values[:-1]) * np.sign(values[1:]) < 0.0):
         high, low = places[at], places[at + 1]
-        if at == 0 and np.sign(balance(high)) != np.sign(values[0]):
-            continue  # the zero is too close to N/2 to be distinguished
         first = optimize.brentq(balance, low, high, xtol=1e-300, rtol=1e-14, maxiter=500)
         roots.append((float(first), "stable" if values[at] > 0.0 else "unstable"))
-    for at in np.flatnonzero(values[1:-1] == 0.0) + 1:
-        if values[at - 1] * values[at + 1] < 0.0:
-            kind = "stable" if values[at - 1] > 0.0 else "unstable"
-            roots.append((float(places[at]), kind))
     return sorted(roots, reverse=True)
 
 

@@ -16,10 +16,10 @@ module battery_startup
   use battery_namelist_input, only: differing_keys, parse_namelist
   use battery_plan, only: plan_type
   use battery_plan_remarks, only: remarks_of
-  use battery_results, only: results_type, task_complete, point_undecided, &
-    all_tasks_complete
+  use battery_results, only: results_type, task_complete, point_undecided
   use battery_process, only: process_number, host_name
-  use battery_results_file, only: results_file_type, open_results, close_results, accept_results
+  use battery_results_file, only: results_file_type, open_results, read_results, close_results, &
+    accept_results
   use battery_tasks, only: task_type, task_count, task_of, order_tasks, task_index_type, &
     task_index_of, task_number_of
   use battery_terminal, only: print_line
@@ -29,6 +29,9 @@ module battery_startup
   public :: find_pending_tasks, find_further_tasks, progress_type, inspect_output, set_pending
   public :: further_text, accept_output
   public :: write_partial_results
+
+  character(len=*), parameter :: discard_text = &
+    'name another output file, or discard it with --overwrite'
 
   !> Progress of an ensemble.
   type :: progress_type
@@ -292,18 +295,22 @@ contains
     !> Whether it has all tasks of the plan.
     logical, intent(out) :: complete
     type(error_type), allocatable, intent(out) :: error
+    character(len=:), allocatable :: remedy
     logical :: same
 
-    call compare_inputs(plan, plan%file, file%namelist, file%initial_fingerprint, file%plan, same, &
-      error)
+    remedy = discard_text
+    if (file_exists(journal_folder(plan))) remedy = 'move it away, or name another output file; ' &
+      //'--overwrite would discard '//journal_folder(plan)//' as well'
+    if (is_read) remedy = 'use the namelist and the version that it was made with'
+    call compare_inputs(plan, plan%file, remedy, file%namelist, file%initial_fingerprint, &
+      file%plan, same, error)
     complete = same .and. file%status == 'complete'
     if (allocated(error) .or. file%version == program_version) return
     if (complete .and. .not. is_read) then
       call close_results(file)
     else
       call fatal_error(error, plan%file//' was made by version '//file%version//', and this is ' &
-        //program_version//'; name another output file, or discard it with --overwrite', &
-        exit_bad_input)
+        //program_version//'; '//remedy, exit_bad_input)
     end if
   end subroutine check_input_of
 
@@ -356,7 +363,9 @@ contains
     type(results_type) :: results
     type(error_type), allocatable :: damage, ignored
     character(len=:), allocatable :: unique
-    logical :: complete, was_complete
+    logical :: complete
+    !> Number of finished tasks in the partial file of before.
+    integer :: finished_before
 
     message = ''
     partial = plan
@@ -372,8 +381,9 @@ contains
       if (all(results%task_status /= task_complete)) call fatal_error(error, plan%file &
         //': no task is finished yet'//damage_text(), exit_bad_input)
       ! Of a run before `--overwrite`, whose results are nowhere else.
-      if (was_complete .and. .not. all_tasks_complete(results)) call fatal_error(error, &
-        partial%file//': is complete, and is not replaced; move it away', exit_bad_input)
+      if (finished_before > count(results%task_status == task_complete)) call fatal_error(error, &
+        partial%file//': has more finished tasks than there are now, and is not replaced; move ' &
+        //'it away', exit_bad_input)
     end if
     if (.not. allocated(error)) then
       ! Another process may write the same file at the same time.
@@ -397,9 +407,16 @@ contains
     !> An error if what has the name of the partial file is no partial file of this input.
     subroutine check_replaceable()
       type(results_file_type) :: file
+      type(results_type) :: before
       type(error_type), allocatable :: reason
 
-      call inspect_results_file(partial, .false., file, was_complete, reason, error)
+      call inspect_results_file(partial, .false., file, complete, reason, error)
+      finished_before = merge(task_count(plan), 0, complete)
+      if (.not. (complete .or. allocated(reason) .or. allocated(error)) &
+        .and. file_exists(partial%file)) then
+        call read_results(file, before, error)
+        if (.not. allocated(error)) finished_before = count(before%task_status == task_complete)
+      end if
       call close_results(file)
       if (.not. allocated(error)) call move_alloc(reason, error)
       if (.not. allocated(error)) return
@@ -433,13 +450,17 @@ contains
     integer(int64), allocatable :: task_id(:)
     type(task_index_type) :: task_index
     type(plan_type) :: before
+    character(len=:), allocatable :: remedy
     logical :: same
     integer :: k
 
     call find_journal(journal, journal_folder(plan), error)
     if (allocated(error)) return
+    remedy = discard_text
+    if (file_exists(plan%file)) remedy = 'go on with that input, or remove this folder; ' &
+      //plan%file//' stays as it is'
     if (journal%has_plan) then
-      call compare_inputs(plan, journal_folder(plan), journal%namelist, &
+      call compare_inputs(plan, journal_folder(plan), remedy, journal%namelist, &
         journal%initial_fingerprint, before, same, error)
     else if (.not. complete) then
       call find_task_ids(journal, task_id, error)
@@ -447,24 +468,23 @@ contains
       task_index = task_index_of(plan)
       if (any([(task_number_of(task_index, task_id(k)) == 0, k=1, size(task_id))])) call &
         fatal_error(error, journal_folder(plan) &
-        //' holds parts of another input, and the plan in it is damaged; ' &
-        //'name another output file, or discard it with --overwrite', exit_bad_input)
+        //' holds parts of another input, and the plan in it is damaged; '//remedy, exit_bad_input)
     end if
   end subroutine inspect_journal
 
   !> An error unless the plan has all tasks of an earlier input, so that their results can be used;
   !> the initial file must be the same, too.
-  subroutine compare_inputs(plan, path, text, initial_fingerprint, before, same, error)
+  subroutine compare_inputs(plan, path, remedy, text, initial_fingerprint, before, same, error)
     type(plan_type), intent(in) :: plan
-    !> The results file or the journal of the earlier input; its namelist.
-    character(len=*), intent(in) :: path, text
+    !> The results file or the journal of the earlier input; what may be done; the earlier namelist.
+    character(len=*), intent(in) :: path, remedy, text
     integer(int64), intent(in) :: initial_fingerprint
     !> Its plan.
     type(plan_type), intent(out) :: before
     !> Whether the plan has no other tasks than the earlier input.
     logical, intent(out) :: same
     type(error_type), allocatable, intent(out) :: error
-    character(len=:), allocatable :: keys, remedy
+    character(len=:), allocatable :: keys, longer
     type(error_type), allocatable :: wrong
 
     call parse_namelist(text, plan%file, before, wrong)
@@ -481,14 +501,12 @@ contains
     else
       if (has_all_of(plan, before)) return
     end if
-    remedy = 'name another output file, or discard it with --overwrite'
-    if (path /= plan%file .and. file_exists(plan%file)) remedy = 'go on with that input, or ' &
-      //'remove this folder; '//plan%file//' stays as it is'
-    if (index(keys, '&run collisions') > 0 .or. index(keys, '&run duration') > 0) remedy = remedy &
-      //new_line_character//'(a run goes on from the &output final_state of another, which is ' &
-      //'then its &particles initial_file)'
+    longer = ''
+    if (index(keys, '&run collisions') > 0 .or. index(keys, '&run duration') > 0) longer = &
+      new_line_character//'(a run goes on from the &output final_state of another, which is then ' &
+      //'its &particles initial_file)'
     call fatal_error(error, path//' was made from another input; these differ:' &
-      //new_line_character//keys//new_line_character//remedy, exit_bad_input)
+      //new_line_character//keys//new_line_character//remedy//longer, exit_bad_input)
   end subroutine compare_inputs
 
   !> Whether a plan has all tasks of an earlier one.
