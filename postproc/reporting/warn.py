@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     Floats = NDArray[np.float64]
 
 UNLIKELY = 1e-4  # probability below which a difference is not taken for chance
-DRIFT = 5.0  # standard errors between two quarters of a series
+DRIFT = 5.0  # standard errors between two halves of a series
 EXCESS = 0.05  # of the net current over the one that chi explains
 CIRCULATION = 0.06  # of the net current, at T = 7 and w' = 0.01 and less elsewhere
 SPREAD = 0.3  # chi above which the current is compared: below, it scatters too much
@@ -58,11 +58,14 @@ def _mean_of_blocks(values: Floats) -> tuple[float, float]:
 
 
 def drifts(chi: Floats) -> bool:
-    """Tell whether chi still moves over that part of a series where averages are taken."""
+    """Tell whether chi still moves over that part of a series where averages are taken.
+
+    The scatter is that of the second half: the first may have most of the way.
+    """
     if chi.size < 4 * BLOCKS:
         return False
-    (one, error1), (other, error2) = (_mean_of_blocks(part) for part in np.array_split(chi, 2))
-    return abs(one - other) > max(DRIFT * np.hypot(error1, error2), 0.02)
+    (one, _), (other, error) = (_mean_of_blocks(part) for part in np.array_split(chi, 2))
+    return abs(one - other) > max(DRIFT * math.sqrt(2.0) * error, 0.02)
 
 
 def axial(circuit: Circuit, snapshot: Snapshot) -> int:

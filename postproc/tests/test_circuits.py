@@ -220,3 +220,19 @@ def test_eta_is_drawn_into_given_axes() -> None:
     assert {window.axes, renewal.axes} == {axes}
     places, values = window.get_data()
     assert values == pytest.approx(Circuit(number=1000, threshold=2).eta(1000 * places))
+
+
+@pytest.mark.parametrize(("number", "threshold", "length", "theory"), [
+    (200, 1, 1.0, "renewal"), (1000, 7, 1.0, "renewal"), (1000, 10, 1.0, "renewal"),
+    (1000, 10, 1.0, "window"), (500, 2, 0.5, "window"), (300, 2, 2.0, "window"),
+])  # fmt: skip
+def test_states_alternate_on_the_line_of_transition(
+    number: int, threshold: int, length: float, theory: str
+) -> None:
+    """Where they are nearer to each other than the digits tell."""
+    circuit = Circuit(number, threshold, channel1_length=length)
+    circuit = replace(circuit, channel2_width=circuit.transition_width(theory))
+    kinds = [one.kind for one in circuit.states(theory)]
+    assert kinds == (["unstable", "stable"] * 3)[-len(kinds) :]
+    found = circuit.lifetimes(theory)
+    assert max(found.homogeneous, found.polarised) > 0.0

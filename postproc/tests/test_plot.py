@@ -666,6 +666,36 @@ def test_stays_of_runs_from_several_starts_are_told_apart(tmp_path: Path) -> Non
     assert stays.groupby(["urn1_fraction", "replica"])["duration"].sum().tolist() == [30.0] * 4
 
 
+def test_merged_runs_from_several_starts_are_told_apart(tmp_path: Path) -> None:
+    starts = [{"number": 200, "urn1_number": one} for one in (100, 200)]
+    paths = [results_of(tmp_path / f"{at}.h5", run={"duration": 30.0}, particles=one)
+             for at, one in enumerate(starts)]  # fmt: skip
+    series = postproc.merge(paths).series
+    assert set(postproc.residences(series)["urn1_fraction"]) == {0.5, 1.0}
+    assert series.sel(urn1_fraction=1.0)["urn1_number"].isel(time=0).values.tolist() == [200, 200]
+
+
+def test_starts_in_either_of_unequal_urns_are_two(tmp_path: Path) -> None:
+    path = results_of(
+        tmp_path / "run.h5", particles={"number": 100}, run={"duration": 30.0}, output=BARE,
+        scan={"urn_radius": [1.0], "urn_radius2": [0.7], "urn1_fraction": [0.0, 1.0],
+              "channel2_width": [0.01, 0.05]},
+    )  # fmt: skip
+    with pytest.raises(InputError, match="no place for urn1_number"):
+        plot.curves(postproc.open_results(path))
+
+
+def test_a_map_has_its_columns_at_the_thresholds_that_were_run(tmp_path: Path) -> None:
+    path = results_of(
+        tmp_path / "run.h5", particles={"number": 100}, run={"duration": 30.0}, output=BARE,
+        scan={"threshold": None, "threshold_fraction": [0.006, 0.018, 0.03],
+              "channel2_width": [0.01, 0.05]},
+    )  # fmt: skip
+    points = points_of(path)
+    shown = maps.map_of(points, maps.map_axes(points), points["start"].values)
+    assert shown.columns.tolist() == [0.01, 0.02, 0.03]
+
+
 def test_urns_are_alike_at_the_bounds_of_states() -> None:
     """Where |N1 - N2|/N is 0.9 to the last digit."""
     first = xr.DataArray([[95.0, 95.0], [5.0, 5.0]], dims=("replica", "time"))

@@ -17,6 +17,7 @@ from selenium import webdriver
 from selenium.webdriver.common.action_chains import ActionChains
 from selenium.webdriver.support.ui import WebDriverWait
 
+import postproc
 from postproc.cli import InputError
 from postproc.figures import film
 from postproc.figures.circuits import polarised_current_of
@@ -283,6 +284,15 @@ def test_a_drift_is_noticed() -> None:
     assert warn.drifts(flat - np.linspace(0.0, 0.5, 2000))
 
 
+@pytest.mark.parametrize(("transient", "moves"), [(0.0, True), (600.0, False)])
+def test_chi_moves_where_averages_are_taken(tmp_path: Path, transient: float, moves: bool) -> None:
+    """From equal urns it is at 0.93 after 400 time units."""
+    length = {"duration": 1200.0, "transient_duration": transient}
+    path = results_of(tmp_path / "run.h5", run=length, output={"series_interval": 5.0})
+    told = [one for one in warn.warnings(points_of(path)) if "chi still moves while" in one]
+    assert bool(told) is moves
+
+
 def test_rays_along_the_axis_are_noticed() -> None:
     table = Circuit(4, 7, channel2_width=0.01)
     uy = np.array([0.0, 1e-4, 0.1, 1.0])
@@ -313,6 +323,11 @@ def test_what_memory_explains_is_no_warning(tmp_path: Path) -> None:
     (wrong,) = warn.warnings(results)
     assert wrong.startswith("T = 7, w' = 0.01, N = 1000: the net current is 4")
     assert "More replicas tell" in wrong
+    with edited(path) as file:
+        file["polarised_current_error"][:] = np.nan
+    one_run = by_point(postproc.open_results(path).isel(replica=[0]))
+    assert warn.warnings(one_run) == []
+    assert not any("no error:" in one for one in warn.explanations(one_run))
 
 
 def test_memory_of_polygons_is_not_asked_for(tmp_path: Path) -> None:
