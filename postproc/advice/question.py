@@ -64,7 +64,7 @@ def advise(
     ------
     InputError
         There is no such quantity, tolerance or time, or no advice on such a table: polygons, discs,
-        several points.
+        several points; a transition of unequal urns or gates.
 
     Examples
     --------
@@ -89,6 +89,8 @@ def advice_on(
             raise cli.InputError(f"{name} = {value!r}: {told}")
     if circuit.outline is not None:
         raise cli.InputError("there is no advice on polygons")
+    if quantity == "transition" and circuit.unlike:
+        raise cli.InputError(f"there is no advice on a transition where {circuit.unlike}")
     if quantity != "chi" and np.all(np.equal(circuit.channel2_width, 0.0)):
         raise cli.InputError(f"without channel 2 there is no {quantity}")
     return advice.advise(groups, circuit, quantity, tolerance, longest=pilot_seconds)

@@ -126,8 +126,8 @@ def explanations(points: xr.Dataset) -> list[str]:
     without_error = _points_without_error(points)
     if without_error:
         found.append(
-            f"At {without_error} of {count} points an error is not known: one run is "
-            "too short to tell its own there. Replicas tell."
+            f"At {without_error} of {count} points an error is not known: one run "
+            "cannot tell its own there. Replicas tell."
         )
     counts = _axial_of(points)
     if any(counts):

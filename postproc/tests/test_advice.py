@@ -122,6 +122,14 @@ def test_there_is_no_advice_on_polygons_by_options(capsys: pytest.CaptureFixture
     assert "there is no advice on polygons" in capsys.readouterr().err
 
 
+def test_there_is_no_advice_on_a_transition_of_unequal_gates(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    words = ["--number", "100", "--threshold", "2", "9", "--quantity", "transition"]
+    assert call("advise", words) == 2
+    assert "transition where threshold is 2 and 9" in capsys.readouterr().err
+
+
 def test_fractions_are_rounded_as_in_the_program() -> None:
     particles = {"number": 100, "urn1_fraction": 0.105}
     groups, circuit = circuit_of({"particles": particles,

@@ -363,7 +363,7 @@ def test_theory_of_unlike_sides_is_refused_with_a_line(
 ) -> None:
     assert call("plot", ["comp06", str(unlike_file), "--theory", "window"]) == 2
     (line,) = capsys.readouterr().err.strip().splitlines()
-    assert "gate_threshold is 4 and 6, urn_radius is 1.2 and 0.8, as at point 0" in line
+    assert "threshold is 4 and 6, urn_radius is 1.2 and 0.8, as at point 0" in line
 
 
 def test_error_of_replicas_covers_their_spread() -> None:

@@ -114,7 +114,7 @@ class Circuit:
     def unlike(self) -> str:
         """Differences of the sides in words; empty if urns and gates are equal."""
         pairs = {
-            "gate_threshold": (self.threshold, self.gate2_threshold),
+            "threshold": (self.threshold, self.gate2_threshold),
             "urn_radius": (self.urn_radius, self.urn2_radius),
         }
         differences = [f"{name} is {one:g} and {two:g}" for name, (one, two) in pairs.items()
