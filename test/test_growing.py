@@ -182,7 +182,7 @@ def test_growth_that_is_given_up_leaves_the_results(tmp_path: Path) -> None:
     """They are of the input of before; the journal is not, and can be removed."""
     write(tmp_path)
     complete(tmp_path)
-    write(tmp_path, scan={"replicas": 20000})
+    write(tmp_path, scan={"replicas": 5000})
     process = start("case.nml", folder=tmp_path)
     assert wait_for((tmp_path / "out.h5.tasks/rank_0").exists, process)
     process.send_signal(signal.SIGTERM)
@@ -192,7 +192,7 @@ def test_growth_that_is_given_up_leaves_the_results(tmp_path: Path) -> None:
         ended = run(*words, folder=tmp_path)
         assert ended.returncode == 2
         assert ended.stderr.startswith("out.h5.tasks was made from another input; these differ:")
-        assert "&scan replicas: was 20000, is 2" in ended.stderr
+        assert "&scan replicas: was 5000, is 2" in ended.stderr
         assert "or remove this folder; out.h5 stays as it is" in ended.stderr
         assert "--overwrite" not in ended.stderr
     shutil.rmtree(tmp_path / "out.h5.tasks")
@@ -203,7 +203,7 @@ def test_no_advice_discards_what_is_of_this_input(tmp_path: Path) -> None:
     """Beside a journal of it other results are to be moved; what is accepted is to be kept."""
     write(tmp_path)
     complete(tmp_path)
-    write(tmp_path, scan={"replicas": 20000}, particles={"number": 90})
+    write(tmp_path, scan={"replicas": 5000}, particles={"number": 90})
     ended = run("case.nml", folder=tmp_path)
     assert ended.stderr.endswith("name another output file, or discard it with --overwrite\n")
     (tmp_path / "out.h5").rename(tmp_path / "other.h5")
@@ -216,10 +216,10 @@ def test_no_advice_discards_what_is_of_this_input(tmp_path: Path) -> None:
     assert ended.returncode == 2
     assert "\nmove it away, or name another output file; --overwrite would discard" in ended.stderr
     for option in ("--partial", "--accept"):
-        h5py.File(tmp_path / "out.h5", "a").close()
         ended = run(option, "case.nml", folder=tmp_path)
         assert ended.returncode == 2
-        assert "--overwrite" not in ended.stderr
+        assert ended.stderr.endswith("\nuse the namelist and the version that it was made with\n")
+        h5py.File(tmp_path / "out.h5", "a").close()  # has no digest then
 
 
 def test_other_output_is_refused(tmp_path: Path) -> None:
@@ -317,6 +317,16 @@ def test_precision_may_be_asked_for_later(tmp_path: Path, precise: Path) -> None
     write(tmp_path, scan=WIDTHS, precision=ASKED)
     complete(tmp_path)
     assert_same(tmp_path / "out.h5", precise)
+
+
+def test_a_partial_file_of_all_that_a_precision_needs_is_replaced(
+    tmp_path: Path, precise: Path
+) -> None:
+    """It has fewer tasks than the plan: those that nobody asks for."""
+    shutil.copytree(precise.parent, tmp_path, dirs_exist_ok=True)
+    for _ in range(2):
+        ended = run("--partial", "case.nml", folder=tmp_path)
+        assert ended.returncode == 0, ended.stderr
 
 
 def test_all_replicas_may_be_asked_for_after_a_precision(tmp_path: Path, precise: Path) -> None:

@@ -12,6 +12,7 @@ from contextlib import suppress
 from typing import TYPE_CHECKING
 
 import numpy as np
+import xarray as xr
 from scipy import stats
 
 from postproc.cli import InputError
@@ -21,7 +22,6 @@ from postproc.theory import ports
 from postproc.theory.circuit import flow2
 
 if TYPE_CHECKING:
-    import xarray as xr
     from numpy.typing import NDArray
 
     from postproc.reading.groups import Snapshot
@@ -199,11 +199,12 @@ def _of_current(circuit: Circuit, excess: float, error: float) -> list[str]:
 def _moving(points: xr.Dataset) -> dict[int, list[str]]:
     """Return the replicas of each point in whose series chi still moves."""
     found: dict[int, list[str]] = {}
+    transient = points.get("transient_time", xr.zeros_like(points["complete"], float))
     if points.attrs.get("shape") != "urn":
         with suppress(InputError):  # none was requested
             for at, one in each_series(points):
                 replica = int(one["replica"])
-                late = one["time"] > points["transient_time"][at, replica]
+                late = one["time"] > transient[at, replica]
                 if drifts(one["chi"].values[late]):
                     found.setdefault(at, []).append(str(replica))
     return found

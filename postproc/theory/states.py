@@ -86,8 +86,8 @@ def stationary_states(circuit: Circuit) -> list[State]:
     # N1, decreasing from N/2 to 0, or from N
     places = places_of(one, half) if circuit.alike else places_of_unequal(circuit)
     values = balance(places)
-    if circuit.alike:
-        values[0] = 1.0 if homogeneous_kind(circuit) == "unstable" else -1.0
+    if circuit.alike and values[0] == 0.0:
+        values[0] = -1.0  # as `homogeneous_kind`
     roots = crossings(balance, places, values)
     if values[-1] > 0.0:
         roots.append((0.0, "stable"))  # N1 underflows: all particles in one urn
@@ -124,7 +124,7 @@ def crossings(
 ) -> list[tuple[float, str]]:
     """Return (N1, kind) of the zeros of `balance`, searched for between `places`, N1 decreasing.
 
-    `values` are those of `balance` there, or of its limit at the first place.
+    `values` are those of `balance` there.
     """
     places, values = _with_close_pairs(balance, places, values)
     places, values = places[values != 0.0], values[values != 0.0]  # some are, by rounding

@@ -410,10 +410,9 @@ contains
       type(results_type) :: before
       type(error_type), allocatable :: reason
 
-      call inspect_results_file(partial, .false., file, complete, reason, error)
-      finished_before = merge(task_count(plan), 0, complete)
-      if (.not. (complete .or. allocated(reason) .or. allocated(error)) &
-        .and. file_exists(partial%file)) then
+      finished_before = 0
+      call inspect_results_file(partial, .true., file, complete, reason, error)
+      if (file_exists(partial%file) .and. .not. (allocated(reason) .or. allocated(error))) then
         call read_results(file, before, error)
         if (.not. allocated(error)) finished_before = count(before%task_status == task_complete)
       end if
