@@ -77,15 +77,14 @@ def group_of(data: xr.Dataset, group: str) -> xr.Dataset:
             on_grid = xr.Variable((*task.dims, *one.dims[1:]), values, one.attrs)
             whole = values.dtype.kind != "f" or complete.all()
             variables[name] = on_grid if whole else on_grid.where(complete)
-    shared = [name for name in (*PARAMETERS, "task") if name in data and name not in found]
-    points, clash, start = data[shared], "urn1_number", FRACTIONS["urn1_number"]
-    if clash in found and {clash, "number"} <= set(data.variables):  # N1 of all times, and at first
-        fraction = (data[clash].variable / data["number"].variable) if start not in data else None
-        points = points.drop_vars(clash, errors="ignore").assign(variables)
-        if fraction is not None:
-            points = points.assign_coords({start: fraction})
-        return points.swap_dims({clash: start}) if points[start].dims == (clash,) else points
-    return points.assign(variables)
+    parameters = (*PARAMETERS, *FRACTIONS.values(), "task")
+    points = data[[name for name in parameters if name in data and name not in found]]
+    points = points.assign(variables)
+    # In series the parameter's name is that of N1 at all times.
+    first, start = data.get("urn1_number"), FRACTIONS["urn1_number"]
+    if "urn1_number" in found and first is not None and start not in points and "number" in data:
+        points = points.assign_coords({start: first.variable / data["number"].variable})
+    return points
 
 
 def _need_runs_of(

@@ -296,15 +296,15 @@ def alike(points: xr.Dataset) -> list[Circuit]:
 
 
 def _starts(points: xr.Dataset) -> Floats:
-    """Return chi at the beginning of each point's runs; of unequal urns or gates (N1 - N2)/N.
+    """Return chi at the beginning of each point's runs; (N1 - N2)/N if urns or gates are unequal.
 
     N1 is rounded to a whole number, so a chi(0) that was asked for is known to 1/N. Points that may
     have one chi(0) have that of the largest N among them.
     """
     number = np.maximum(points["number"].values, 1).astype(float)
     start = (2.0 * points["urn1_number"].values - number) / number
-    unlike = np.array([bool(one.unlike) for one in points["circuit"].values], bool)
-    start = np.where(unlike, start, abs(start))
+    if not any(one.unlike for one in points["circuit"].values):
+        start = abs(start)
     low, high, found = start - 1.0 / number, start + 1.0 / number, start.copy()
     left = np.isfinite(start)
     while left.any():

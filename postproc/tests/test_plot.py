@@ -670,9 +670,13 @@ def test_merged_runs_from_several_starts_are_told_apart(tmp_path: Path) -> None:
     starts = [{"number": 200, "urn1_number": one} for one in (100, 200)]
     paths = [results_of(tmp_path / f"{at}.h5", run={"duration": 30.0}, particles=one)
              for at, one in enumerate(starts)]  # fmt: skip
-    series = postproc.merge(paths).series
-    assert set(postproc.residences(series)["urn1_fraction"]) == {0.5, 1.0}
-    assert series.sel(urn1_fraction=1.0)["urn1_number"].isel(time=0).values.tolist() == [200, 200]
+    stays = postproc.residences(postproc.merge(paths).series)
+    assert stays.groupby(["urn1_fraction", "replica"])["duration"].sum().tolist() == [30.0] * 4
+    paths += [results_of(tmp_path / "2.h5", run={"duration": 30.0}, particles={"number": 100},
+                         scan={"urn1_fraction": [0.5, 1.0], "replicas": 1})]  # fmt: skip
+    merged = postproc.merge(paths)  # no grid
+    assert set(postproc.residences(merged.series)["urn1_fraction"]) == {0.5, 1.0}
+    assert len(plot.relaxation(merged.isel(point=[0]))) == 1
 
 
 def test_starts_in_either_of_unequal_urns_are_two(tmp_path: Path) -> None:
@@ -683,6 +687,11 @@ def test_starts_in_either_of_unequal_urns_are_two(tmp_path: Path) -> None:
     )  # fmt: skip
     with pytest.raises(InputError, match="no place for urn1_number"):
         plot.curves(postproc.open_results(path))
+    one = results_of(
+        tmp_path / "one.h5", particles={"number": 60, "urn1_number": 12}, run={"duration": 30.0},
+        scan={"threshold": [3, 3, 3], "threshold2": [2, 3, 4]}, output=BARE,
+    )  # fmt: skip
+    assert points_of(one)["start"].values.tolist() == [-0.6] * 3  # also where gates are equal
 
 
 def test_a_map_has_its_columns_at_the_thresholds_that_were_run(tmp_path: Path) -> None:
