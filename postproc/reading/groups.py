@@ -77,9 +77,8 @@ def group_of(data: xr.Dataset, group: str) -> xr.Dataset:
             on_grid = xr.Variable((*task.dims, *one.dims[1:]), values, one.attrs)
             whole = values.dtype.kind != "f" or complete.all()
             variables[name] = on_grid if whole else on_grid.where(complete)
-    parameters = (*PARAMETERS, *FRACTIONS.values(), "task")
-    points = data[[name for name in parameters if name in data and name not in found]]
-    points = points.assign(variables)
+    shared = [name for name in (*PARAMETERS, "task") if name in data and name not in found]
+    points = data[shared].assign(variables)
     # In series the parameter's name is that of N1 at all times.
     first, start = data.get("urn1_number"), FRACTIONS["urn1_number"]
     if "urn1_number" in found and first is not None and start not in points and "number" in data:
