@@ -396,7 +396,7 @@ contains
     class(hdf5_file_type), intent(in) :: file
     type(results_type), intent(inout) :: results
     type(error_type), allocatable, intent(inout) :: error
-    character(len=*), parameter :: blocks = ', standard error from the run; NaN: too short'
+    character(len=*), parameter :: blocks = ', standard error from the run; NaN: not known'
     character(len=*), parameter :: scatter = ', standard error from the scatter of the replicas'
     type(quantity_type), allocatable :: list(:)
     character(len=:), allocatable :: path, unit, meaning
