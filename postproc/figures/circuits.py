@@ -187,7 +187,7 @@ def draw_relaxation(
         told = ", ".join(known) or "none of the single urn"
         raise InputError(f"against time there is no {quantity!r}; there are {told}")
     label, quantity_of, steps, field, possible = QUANTITIES[quantity]
-    lines, latest = [], 0.0
+    lines, latest, theories = [], 0.0, set()
     circuits, starts = points["circuit"].values, starts_of(points)
     for at, (circuit, colour) in enumerate(zip(circuits, TIME_COLOURS, strict=False)):
         found, number = [], float(circuit.number)
@@ -213,7 +213,8 @@ def draw_relaxation(
                 continue
             if (state := model.reached(circuit, starts[at])) is not None:
                 axes.axhline(getattr(state, field), color=colour, ls=model.dashes, lw=0.9)
-    for model in models:
+                theories.add(model.name)
+    for model in (one for one in models if one.name in theories):
         axes.plot([], [], ls=model.dashes, lw=0.9, **_theory_entry(model, lines))
     axes.set(xlabel="time $t$  (length / $v$)", ylabel=label)
     if quantity == "chi":
@@ -255,7 +256,7 @@ def draw_curves(
         raise InputError(f"theories are drawn of {' and '.join(BRANCHES)}, not of "
                          f"{' against '.join(shown)}")  # fmt: skip
     theories = _theory_looks(models, across)
-    drawn = []
+    drawn, known = [], set()
     for at, (value, part) in enumerate(groups(points, *([other] if other else []))):
         colour, mark = style.CYCLE[at % len(style.CYCLE)], MARKS[at % len(MARKS)]
         group = part.sortby(across)
@@ -268,9 +269,10 @@ def draw_curves(
         for model, look in theories:
             found = _branch(group, model, across)
             if found:
+                known.add(model.name)
                 found["x"] = found["x"] / (float(group["number"][0]) if as_share else 1)
                 axes.plot(found[against or "x"], found[quantity], color=colour, **look)
-    for model, look in theories:
+    for model, look in (one for one in theories if one[0].name in known):
         axes.errorbar([], [], **_theory_entry(model, [one.lines[0] for one in drawn]), **look)
     axes.set_xlabel(along or ("$T/N$" if as_share else SYMBOLS.get(across, across)))
     axes.xaxis.set_major_locator(MaxNLocator(5))

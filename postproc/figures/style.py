@@ -110,8 +110,14 @@ def label_fraction(axes: Axes) -> None:
 def legend_above(
     made: Figure, handles: Sequence[Artist], labels: Sequence[str], columns: int, **look: object
 ) -> None:
-    """Put a legend above the panels, in at most that many columns, so that it is not cut."""
+    """Put a legend above the panels, in at most that many columns, so that it is not cut.
+
+    It is measured at the resolution of the PNG: the widths of letters depend on it.
+    """
+    resolution = made.dpi
+    made.set_dpi(RESOLUTION)
     _fitted_legend(made, handles, labels, columns, loc="outside upper center", **look)
+    made.set_dpi(resolution)
 
 
 def legend_below(axes: Axes, columns: int, **look: object) -> None:

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from postproc.figures import appendix, circuits, maps, passages
+from postproc.figures import appendix, circuits, maps, passages, style
 from postproc.figures.theories import named
 from postproc.tests.looks import assert_looks_apart
 from postproc.tests.runs import BARE, points_of, results_of
@@ -49,6 +49,9 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
                output={"series_interval": 10.0})  # fmt: skip
     results_of(made / "urn_point.h5", table={"shape": "urn"}, particles={"number": 500}, run=SHORT,
                gate={"threshold": 4}, scan={"replicas": 1}, output=BARE)  # fmt: skip
+    results_of(made / "unlike.h5", run=SHORT, gate={"threshold": [3, 9]}, output=BARE | {
+               "series_interval": 10.0}, scan={"threshold": None, "threshold2": [1, 2],
+               "replicas": 1})  # fmt: skip
     return made
 
 
@@ -73,3 +76,24 @@ def test_no_legend_is_cut_in_the_narrowest_form_of_a_figure(
         box = legend.get_window_extent()
         assert made.bbox.x0 <= box.x0 <= box.x1 <= made.bbox.x1
         assert made.bbox.y0 <= box.y0 <= box.y1 <= made.bbox.y1
+
+
+def test_a_legend_is_not_cut_at_the_resolution_at_which_it_is_written() -> None:
+    """Letters are up to 6 % wider there than on screen."""
+    made = style.figure()
+    axes = made.add_subplot()
+    theories = [f"theory, {one.label}, in the same colours" for one in MIXED]
+    labels = ["$T_2 = 1$", "$T_2 = 2$", "$T_2 = 5$", *theories]
+    handles = [axes.errorbar([], [], [], fmt="o") for _ in labels]
+    style.legend_above(made, handles, labels, 4, fontsize=7.5)
+    made.set_dpi(style.RESOLUTION)
+    made.draw_without_rendering()
+    assert made.legends[0].get_window_extent().width <= made.bbox.width
+
+
+def test_a_legend_names_no_theory_that_is_not_drawn(folder: Path) -> None:
+    """None is drawn of unequal gates."""
+    points = points_of(folder / "unlike.h5")
+    for draw in (circuits.figure_curves, circuits.figure_relaxation):
+        (legend,) = draw(points).legends
+        assert not [text for text in legend.get_texts() if "theory" in text.get_text()]
