@@ -183,8 +183,8 @@ class Circuit:
         Parameters
         ----------
         thresholds
-            T for which it is computed, whole numbers, or one. `threshold` and `channel2_width` are
-            not used.
+            T of both gates for which it is computed, whole numbers, or one. `channel2_width` is not
+            used, `threshold` only if its two values differ: then there is no line.
         theory
             As for `eta`.
 

@@ -557,7 +557,8 @@ def test_final_state_goes_on(tmp_path: Path) -> None:
     write_start(first, tmp_path / "first.txt")
     write_start(final, tmp_path / "start.txt")
     output = {"file": "'two.h5'", "final_state": ".true.", "snapshot_times": "0, 2"}
-    particles = {**PARTICLES, "initial_file": "'start.txt'", "seed": "77"}
+    # The namelist as it was: the particles of the file count, not the fraction.
+    particles = {**PARTICLES, "initial_file": "'start.txt'", "seed": "77", "urn1_fraction": "1"}
     write(tmp_path, "two.nml", particles=particles, run={"duration": "2"}, output=output)
     ended = run("two.nml", folder=tmp_path)
     assert ended.returncode == 0, ended.stderr

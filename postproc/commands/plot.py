@@ -91,7 +91,7 @@ def main(arguments: list[str] | None = None) -> int:
     options.add_argument("files", metavar="FILE.h5", type=Path, nargs="*")
     options.add_argument(
         "--select", metavar="KEY=VALUE", nargs="+", action="extend", type=_pair, default=[],
-        help="only the points with these values of keys that were scanned",
+        help="only the points with these values of scanned keys; with a key twice, with either value",
     )  # fmt: skip
     cli.add_task(options)
     options.add_argument(
@@ -111,7 +111,7 @@ def main(arguments: list[str] | None = None) -> int:
             raise cli.InputError(f"figure {given.name} needs at least one file of results")
         style.save(FIGURES[name](), given.output, given.name)
         return 0
-    data = selected(dataset_of(given.files, verify=given.verify), dict(given.select))
+    data = selected(dataset_of(given.files, verify=given.verify), given.select)
     points = by_point(data)
     task_of(points, given.point, given.replica)  # refuses a task that is not there
     # A task that was chosen is all that there is, for any figure.

@@ -2,11 +2,11 @@
 
 Options are named like the keys of the namelist; lengths are over the speed v = 1. Without --theory
 the results are those of window, the paper's theory, and under its own name those of direction, or
-of renewal if the urns are polygons. The net current of direction includes circulation, which is
-printed as well. It is that of a run of the given age, and net_current_infinite_age that which no
-run reaches: circulations of ever more rounds build up. With --tricritical, for window and renewal:
-the point on the line of transition at which a jump becomes continuous, at this T, w, l and r, and
-which of the two the transition is at this N.
+of renewal for polygons and unequal urns or gates. The net current of direction includes
+circulation, which is printed as well. It is that of a run of the given age, and
+net_current_infinite_age that which no run reaches: circulations of ever more rounds build up. With
+--tricritical, for window and renewal: the point on the line of transition at which a jump becomes
+continuous, at this T, w, l and r, and which of the two the transition is at this N.
 """
 
 from __future__ import annotations

@@ -139,7 +139,7 @@ def listed(found: Sequence[Lifetime], models: Sequence[Model]) -> str:
         "w'": f"{one.circuit.channel2_width:g}", "N": one.circuit.number,
         "from": "polarised" if one.polarised else "homogeneous",
         "left": f"{one.passages}/{one.replicas}", "lifetime": _short(one.time),
-        "68 %": f"{_short(one.low)} to {_short(one.high)}" if one.passages else "at least",
+        "68 %": f"{_short(one.low)} to {_short(one.high)}" if one.passages else "at least (95 %)",
         **{model.label: _short(one.of_chain(model)) for model in models},
     } for one in found]  # fmt: skip
     return pd.DataFrame(rows).to_string(index=False)

@@ -23,6 +23,7 @@ from postproc.reading.points import (
     FRACTIONS,
     NOT_ASKED,
     OVER_REPLICAS,
+    PAIRS,
     PARAMETERS,
     TWO_STATES,
     UNDECIDED,
@@ -314,7 +315,7 @@ def _tasks(given: Sequence[xr.Dataset]) -> tuple[pd.DataFrame, list[str]]:
         frames.append(frame[frame["task_status"] != NOT_ASKED])
         files += len(of_files(one, "files"))
     table = pd.concat(frames, ignore_index=True)
-    for second, first in (("threshold2", "threshold"), ("urn_radius2", "urn_radius")):
+    for second, first in PAIRS.items():
         if second in table:
             table[second] = table[second].fillna(table[first])
     if "scatterers" in table:
@@ -343,22 +344,31 @@ def dataset_of(
     return found[0] if len(found) == 1 else merge(found)
 
 
-def selected(data: xr.Dataset, values: dict[str, float]) -> xr.Dataset:
-    """Return the points with these values of keys; raise `InputError` if there are none."""
-    for key, value in values.items():
+def selected(data: xr.Dataset, values: Iterable[tuple[str, float]]) -> xr.Dataset:
+    """Return the points with these values of keys; raise `InputError` if one is at no point.
+
+    Of a key that is given more than once, the points with any of its values.
+    """
+    wanted: dict[str, list[float]] = {}
+    for key, value in values:
+        wanted.setdefault(key, []).append(value)
+    for key, allowed in wanted.items():
         # Merged points that are no grid have values of their own.
         names = dict.fromkeys([*map(str, data["task"].dims), *PARAMETERS, *FRACTIONS.values()])
-        known = [one for one in names if one in data and data[one].dims in ((one,), ("point",))]
+        known = [one for one in names if one in data
+                 and data[one].dims in ((one,), ("point",), (PAIRS.get(one),))]  # fmt: skip
         if key not in known:
             raise InputError(
                 f"there is no scanned key {key} to select by; there are {', '.join(known)}"
             )
         dims = data[key].dims
-        near = np.isclose(data[key], value, rtol=1e-9, atol=0.0)
-        if not near.any():
+        near = np.isclose(data[key].values[:, np.newaxis], allowed, rtol=1e-9, atol=0.0)
+        if not near.any(axis=0).all():
+            missing = allowed[near.any(axis=0).argmin()]
             there = ", ".join(f"{one:g}" for one in np.unique(data[key]))
-            raise InputError(f"no point has {key} = {value:g}; there are {there}")
-        data = data.isel({dims[0]: np.flatnonzero(near) if dims == ("point",) else near.argmax()})
+            raise InputError(f"no point has {key} = {missing:g}; there are {there}")
+        found = np.flatnonzero(near.any(axis=1))
+        data = data.isel({dims[0]: found if dims == ("point",) or found.size > 1 else found[0]})
     return data
 
 

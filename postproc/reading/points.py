@@ -44,6 +44,8 @@ ROUNDING = 1e-12  # numbers that differ by less, relative to the greatest, are e
 WITHIN = 0.1  # of the variance, most that two states have within them, as in precision.f90
 CHANCE = 1e-4  # of this order, probability that few replicas in one state look like two
 JUMP = 0.3  # of chi, least difference between two kinds of states
+#: Values of gate 2 and urn 2, scanned in pairs with those of 1.
+PAIRS = {"threshold2": "threshold", "urn_radius2": "urn_radius"}
 #: Keys that may be scanned in place of a parameter.
 FRACTIONS = {"threshold": "threshold_fraction", "urn1_number": "urn1_fraction"}
 
@@ -130,7 +132,8 @@ def flat_results(data: xr.Dataset, *needed: str) -> xr.Dataset:
 def by_point(data: xr.Dataset) -> xr.Dataset:
     """Return a dataset with the dimension `point`, and what is known of each point and task.
 
-    Coordinates along `point` are the keys of the scan, in its order. Every parameter has a value at
+    Coordinates along `point` are the keys of the scan, in its order, and the second values of pairs
+    that repeat a first one. Every parameter has a value at
     each point. Added are `circuit`, whose urns and gates may be unequal; `start`, chi at the
     beginning (`_starts`); `two_states`, whether replicas are in two (`_two_states`), so that they
     have no mean; and of each task `asked`, whether it was requested, and `complete`.
@@ -141,6 +144,12 @@ def by_point(data: xr.Dataset) -> xr.Dataset:
     size, status = points.sizes["point"], points["task_status"]
     columns = {name: ("point", np.broadcast_to(points[name].values, size))
                for name in (*known, *keys)}  # fmt: skip
+    for second, first in PAIRS.items():
+        if first in keys and second in known and second not in keys:
+            pairs = np.stack([columns[name][1] for name in (first, second)])
+            # A first value with several second ones does not tell which point it is.
+            if np.unique(pairs, axis=1).shape[1] > np.unique(pairs[0]).size:
+                keys.append(second)
     others = [name for name in known if name not in keys]
     points = points.drop_vars(keys).assign({name: columns[name] for name in others})
     points = points.assign_coords({name: columns[name] for name in keys})
@@ -185,8 +194,7 @@ def keys_of(points: xr.Dataset) -> dict[str, NDArray[np.generic]]:
 
 def second_values(points: xr.Dataset) -> dict[str, NDArray[np.generic]]:
     """Return the values of gate 2 and urn 2 where they differ from those of 1, unless scanned."""
-    pairs = ((f"{name}2", name) for name in ("threshold", "urn_radius"))
-    return {second: points[second].values for second, first in pairs
+    return {second: points[second].values for second, first in PAIRS.items()
             if second in points and second not in points.coords
             and not np.array_equal(points[second], points[first])}  # fmt: skip
 
@@ -269,7 +277,7 @@ def need_only(points: xr.Dataset, *shown: str) -> None:
         raise InputError(
             f"this figure has no place for {' and '.join(varying)} ({name}: {told}): choose, "
             f"--select {name}={values[0]:g} or data.sel({name}={values[0]:g}) "
-            "(data.isel(point=...) of merged points that are no grid)"
+            f"(data.isel where {name} is no dimension of data)"
         )
 
 

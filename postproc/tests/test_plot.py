@@ -98,7 +98,7 @@ def test_files_of_unlike_discs_are_one_scan_and_keep_their_discs(
         np.testing.assert_array_equal(again.chi.sel(scatterer_count=at), alone.chi.squeeze())
     more = results_of(tmp_path / "more.h5", scan={"threshold": 4}, **SMALL)
     with pytest.raises(InputError, match="there are point, replica, threshold, channel2_w"):
-        selected(postproc.merge([*files[:3], more]), {"scatterers": 1.0})
+        selected(postproc.merge([*files[:3], more]), [("scatterers", 1.0)])
     with pytest.raises(InputError, match="scatterers differ that are equally many"):
         postproc.merge(files[1:])
     assert call("plot", ["characteristic", *map(str, files[:3]), "--output", str(tmp_path)]) == 0
@@ -137,6 +137,38 @@ def test_points_that_a_figure_cannot_show_are_named_with_a_way_to_choose(
     for draw in (plot.phase_diagram, plot.curves, plot.relaxation):
         with pytest.raises(InputError, match=r"no (variable )?'widow'"):
             draw(data.sel(channel2_width=0.01), ax=Figure().add_subplot(), variable="widow")
+
+
+def test_every_point_of_pairs_that_repeat_a_value_is_shown_and_can_be_chosen(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """All combinations of both gates are scanned so; the second value is a key of its own."""
+    pairs = [(1, 1), (1, 9), (3, 1), (3, 9)]
+    first, second = zip(*pairs, strict=True)
+    grid = {"threshold": [*first], "threshold2": [*second], "channel2_width": [0.02, 0.1],
+            "replicas": 1}  # fmt: skip
+    path = results_of(tmp_path / "pairs.h5", run=SHORT, output=BARE, scan=grid)
+    data = postproc.open_results(path)
+    with pytest.raises(InputError, match="--select threshold2=1 or"):
+        plot.phase_diagram(data, ax=Figure().add_subplot())
+    (shown,) = plot.curves(selected(data, [("threshold", 1), ("channel2_width", 0.1)]),
+                           ax=Figure().add_subplot(), variable="chi")  # fmt: skip
+    part = data.sel(channel2_width=0.1, threshold=1)
+    assert np.array_equal(shown.lines[0].get_data(), [part["threshold2"], part["chi"].values[:, 0]])
+    for at, (one, other) in enumerate(pairs):
+        found = selected(data, [("threshold2", other), ("threshold", one)])
+        assert found.identical(data.isel(threshold=at))
+    both = selected(data, [("channel2_width", 0.1), ("threshold", 3), ("channel2_width", 0.02)])
+    assert both.identical(data.sel(threshold=3))
+    points = by_point(data)
+    scan = columns_of.scanned(points)
+    columns = columns_of.points_of(points, scan, {})
+    cells = {*zip(columns["left"], columns["bottom"], columns["threshold2"], strict=True)}
+    assert len(cells) == data["task"].size
+    assert "threshold2" in scan.others
+    words = ["curves", str(path), "--output", str(tmp_path), "--select", "threshold2=8"]
+    assert call("plot", words) == 2
+    assert "no point has threshold2 = 8; there are 1, 9" in capsys.readouterr().err
 
 
 def test_a_map_is_of_two_keys_and_has_the_lines_that_are_asked_for(
@@ -519,7 +551,7 @@ def test_merged_replicas_are_side_by_side_and_errors_made_anew(folder: Path) -> 
     twice = postproc.merge([*paths, folder / "map.h5"])
     assert twice["chi"].dims == ("point", "replica")  # not all combinations are there
     assert len(postproc.table(twice)) == 2 + 6
-    assert set(selected(twice, {"threshold": 2.0})["threshold"].values) == {2}
+    assert set(selected(twice, [("threshold", 2.0)])["threshold"].values) == {2}
 
 
 def test_merged_scans_over_fractions_keep_their_grid(tmp_path: Path) -> None:

@@ -187,7 +187,7 @@ contains
     if (plan%shape == 'urn') then
       point%channel(channel2)%width = 0.0_wp
       if (point%urn1_number == not_given) point%urn1_number = point%number
-    else if (of(key_urn1_fraction)%known) then
+    else if (of(key_urn1_fraction)%known .and. plan%initial_file == '') then
       point%urn1_number = rounded(of(key_urn1_fraction)%real(1)*point%number)
     else if (point%urn1_number == not_given) then
       point%urn1_number = point%number/2
