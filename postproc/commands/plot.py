@@ -91,7 +91,7 @@ def main(arguments: list[str] | None = None) -> int:
     options.add_argument("files", metavar="FILE.h5", type=Path, nargs="*")
     options.add_argument(
         "--select", metavar="KEY=VALUE", nargs="+", action="extend", type=_pair, default=[],
-        help="only the points with these values of scanned keys; with a key twice, with either value",
+        help="only the points with these values of scanned keys; a key twice: either value",
     )  # fmt: skip
     cli.add_task(options)
     options.add_argument(
