@@ -28,6 +28,7 @@ from postproc.reading.points import (
     TWO_STATES,
     UNDECIDED,
     by_point,
+    exactly,
     flat_results,
     mean_error,
     of_files,
@@ -365,7 +366,7 @@ def selected(data: xr.Dataset, values: Iterable[tuple[str, float]]) -> xr.Datase
         near = np.isclose(data[key].values[:, np.newaxis], allowed, rtol=1e-9, atol=0.0)
         if not near.any(axis=0).all():
             missing = allowed[near.any(axis=0).argmin()]
-            there = ", ".join(f"{one:g}" for one in np.unique(data[key]))
+            there = ", ".join(map(exactly, np.unique(data[key])))
             raise InputError(f"no point has {key} = {missing:g}; there are {there}")
         found = np.flatnonzero(near.any(axis=1))
         data = data.isel({dims[0]: found if dims == ("point",) or found.size > 1 else found[0]})

@@ -258,6 +258,11 @@ def with_tasks(points: xr.Dataset) -> xr.Dataset:
     return points
 
 
+def exactly(value: float) -> str:
+    """Return a number as it must be typed to be found: with all its digits."""
+    return f"{value:g}" if float(f"{value:g}") == value else repr(float(value))
+
+
 def need_only(points: xr.Dataset, *shown: str) -> None:
     """Raise `InputError` if points differ in other parameters than a figure can show."""
     free = {"urn1_number" if name == "start" else name for name in shown}
@@ -272,11 +277,11 @@ def need_only(points: xr.Dataset, *shown: str) -> None:
         first = varying[0].removesuffix("2")
         known = (varying[0], first, FRACTIONS.get(first), *keys_of(points))
         name = next(name for name in known if name in points.coords)
-        values = np.unique(points[name])
-        told = ", ".join(f"{one:g}" for one in values[:6])
+        values = [exactly(one) for one in np.unique(points[name])]
         raise InputError(
-            f"this figure has no place for {' and '.join(varying)} ({name}: {told}): choose, "
-            f"--select {name}={values[0]:g} or data.sel({name}={values[0]:g}) "
+            f"this figure has no place for {' and '.join(varying)} "
+            f"({name}: {', '.join(values[:6])}): choose, "
+            f"--select {name}={values[0]} or data.sel({name}={values[0]}) "
             f"(data.isel where {name} is no dimension of data)"
         )
 

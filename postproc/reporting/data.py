@@ -137,7 +137,9 @@ def map_lines(points: xr.Dataset, scan: Scan, models: dict[str, Model]) -> Colum
     drawn = scan.up and not any(one.beyond_theory or one.shape != "circuit"
                                 for one in points["circuit"].values)  # fmt: skip
     find = _transition if has_lines((scan.across, scan.up)) else _between
-    for chosen, part in groups(points, *scan.others) if drawn else ():
+    for values, part in groups(points, *scan.others) if drawn else ():
+        # As at the points, so that a selector finds both.
+        chosen = {name: rounded(value)[0] for name, value in values.items()}
         for model in models.values():
             for across, up in find(part, scan, model):
                 rows.append({"xs": across, "ys": up, "dash": dash(model), **chosen})

@@ -31,11 +31,11 @@ from bokeh.models import (
     Line,
     LinearColorMapper,
     PreText,
+    Segment,
     Select,
     TableColumn,
     TapTool,
     Title,
-    Whisker,
 )
 from bokeh.plotting import figure
 from bokeh.resources import Resources
@@ -260,18 +260,18 @@ class Page:
         made = self._figure(
             name, f"{self.measured[name]}, standard errors", y_range=(low - more, high + more)
         )
+        across = self.scan.across
+        chosen = {"source": self.points, "view": CDSView(filter=self.cells)}
         for model, mark in zip(self.models, THEORY_MARKS, strict=False):
             if f"{model}_{name}" in self.columns:
                 theory = made.scatter(
-                    self.scan.across, f"{model}_{name}", source=self.points, size=10, marker=mark,
-                    line_color="#333333", line_width=1.5,
+                    across, f"{model}_{name}", size=10, marker=mark,
+                    line_color="#333333", line_width=1.5, **chosen,
                 )  # fmt: skip
                 theory.nonselection_glyph = None
-        made.add_layout(
-            Whisker(base=self.scan.across, lower=f"{name}_low", upper=f"{name}_high",
-                    source=self.points)
-        )  # fmt: skip
-        marks = made.scatter(self.scan.across, name, source=self.points, size=9, color=CYCLE[0])
+        errors = made.segment(across, f"{name}_low", across, f"{name}_high", **chosen)
+        errors.nonselection_glyph = None
+        marks = made.scatter(across, name, size=9, color=CYCLE[0], **chosen)
         marks.nonselection_glyph = None
         marks.selection_glyph = marks.glyph.clone(fill_color=CYCLE[1], line_color=CYCLE[1], size=12)
         marks.hover_glyph = marks.glyph.clone(fill_color=CYCLE[4], line_color="black", size=13)
@@ -373,7 +373,7 @@ INKED = {
     Title: ("text_color",),
     Axis: ("axis_label_text_color", "major_label_text_color", "axis_line_color",
            "major_tick_line_color", "minor_tick_line_color"),
-    Whisker: ("line_color",), ArrowHead: ("line_color",), Line: ("line_color",),
+    Segment: ("line_color",), ArrowHead: ("line_color",), Line: ("line_color",),
     Legend: ("label_text_color",), ColorBar: ("major_label_text_color",),
 }  # fmt: skip
 PAPERED = {

@@ -27,7 +27,7 @@ from postproc.commands import plot as commands
 from postproc.figures import circuits, maps, passages
 from postproc.reading import results_file
 from postproc.reading.grid import selected
-from postproc.reading.points import by_point
+from postproc.reading.points import by_point, exactly
 from postproc.reporting import data as columns_of
 from postproc.tests.commands import call
 from postproc.tests.runs import BARE, edited, leave_out, points_of, results_of
@@ -158,6 +158,8 @@ def test_every_point_of_pairs_that_repeat_a_value_is_shown_and_can_be_chosen(
     for at, (one, other) in enumerate(pairs):
         found = selected(data, [("threshold2", other), ("threshold", one)])
         assert found.identical(data.isel(threshold=at))
+    assert exactly(data["channel2_width"].values[0]) == "0.02"
+    assert float(exactly(4.0 / 3.0)) == 4.0 / 3.0  # as messages name it
     both = selected(data, [("channel2_width", 0.1), ("threshold", 3), ("channel2_width", 0.02)])
     assert both.identical(data.sel(threshold=3))
     points = by_point(data)

@@ -24,6 +24,7 @@ from postproc.figures.circuits import polarised_current_of
 from postproc.reading.groups import Snapshot, series_of
 from postproc.reading.points import by_point, means, remark
 from postproc.reporting import data, report, warn
+from postproc.reporting.page import Page
 from postproc.tests.commands import call
 from postproc.tests.runs import BARE, edited, leave_out, points_of, results_of
 from postproc.theory.circuit import Circuit
@@ -152,6 +153,25 @@ def test_any_scan_has_its_page(tmp_path: Path, scan: dict[str, object], number: 
     scanned = data.scanned(results)
     assert len(scanned.others) == max(len(scan) - 2, 0)
     assert len(re.findall(r'"name":"(?:chi|current)(?:_error)?"', text)) == number
+
+
+def test_a_selector_chooses_all_that_is_drawn(tmp_path: Path) -> None:
+    """Lines of transition at values with many digits, too, and the points of curves."""
+    scan = {"threshold": [1, 2], "channel2_width": [0.01, 0.3],
+            "channel1_length": [1.0, 4.0 / 3.0]}  # fmt: skip
+    points = points_of(results_of(tmp_path / "map.h5", scan=scan, run={"duration": 20.0}))
+    scanned, models = data.scanned(points), {"window": MODELS["window"]}
+    lines = data.map_lines(points, scanned, models)
+    columns = data.points_of(points, scanned, models)
+    assert scanned.others == ["channel1_length"]
+    assert {*lines["channel1_length"]} == {*columns["channel1_length"]} == {1.0, 1.3333}
+    scan = {"threshold": [1, 2], "urn1_fraction": [0.5, 1.0]}
+    points = points_of(results_of(tmp_path / "starts.h5", scan=scan, run={"duration": 20.0}))
+    scanned = data.scanned(points)
+    parts = Page(points, scanned, models, data.points_of(points, scanned, models))
+    drawn = [one for panel in parts.panels() for one in panel.renderers]
+    assert len(drawn) == 6
+    assert all(one.view.filter is parts.cells for one in drawn)
 
 
 def test_page_escapes_the_namelist(tmp_path: Path) -> None:
