@@ -100,6 +100,9 @@ def flat(data: xr.Dataset, *needed: str) -> xr.Dataset:
     if empty := [str(name) for name, size in data["task"].sizes.items() if size == 0]:
         raise InputError(f"data: is empty along {empty[0]}")
     if "replica" not in data.dims:  # one that was chosen
+        if data["task"].dtype.kind == "f":
+            told = "give all of them, or one that isel chooses"
+            raise InputError(f"data: has no replicas any more, such as after mean; {told}")
         by_point = {name for name in data if set(data[name].dims) <= set(data["task"].dims)
                     and name in (*PARAMETERS, "point_status", "scatterers")}  # fmt: skip
         tasks = [name for name in data if not (name in by_point or

@@ -427,6 +427,7 @@ def test_numbers_of_particles_have_their_ticks_and_theories_marks(tmp_path: Path
         (lambda one: postproc.merge([one.drop_vars("number")]), "data: must be a dataset that"),
         (lambda one: postproc.merge([one.drop_vars("threshold")]), "threshold is not known at"),
         (lambda one: postproc.table(xr.concat([one, one], "run")), "data: run is no key of a scan"),
+        (lambda one: postproc.table(one.mean("replica")), "has no replicas any more"),
         (lambda one: one.isel(replica=[]).series, "of points of it that sel or isel choose"),
         (lambda one: plot.curves(one, variable=["chi"]), "no variable .'chi'. of runs"),
         (lambda one: plot.relaxation(one, variable=["chi"]), "there is no .'chi'."),

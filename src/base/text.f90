@@ -353,6 +353,7 @@ contains
 
     power = 0
     if (rate > 0.0_dp) power = floor(log10(rate))
+    if (rate/10.0_dp**power >= 9.995_dp) power = power + 1  ! its digits are 10.00
     write (buffer, '(f4.2, a, i0)') rate/10.0_dp**power, 'e', power
     text = trim(buffer)
   end function rate_text
