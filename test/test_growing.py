@@ -214,7 +214,7 @@ def test_no_advice_discards_what_is_of_this_input(tmp_path: Path) -> None:
     (tmp_path / "other.h5").rename(tmp_path / "out.h5")
     ended = run("case.nml", folder=tmp_path)
     assert ended.returncode == 2
-    assert "\nmove it away, or name another output file; --overwrite would discard" in ended.stderr
+    assert "move it away, with out.h5.tasks if that is of the same input; --over" in ended.stderr
     for option in ("--partial", "--accept"):
         ended = run(option, "case.nml", folder=tmp_path)
         assert ended.returncode == 2

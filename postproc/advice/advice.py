@@ -57,6 +57,7 @@ if TYPE_CHECKING:
 QUANTITIES = ("chi", "polarised_current", "transition")
 SURE = 0.95  # probability with which the advised runs meet the tolerance
 REPLICAS = 16  # of a pilot
+FROM_ZERO = 3.0  # errors of its mean, by which that must differ from 0
 LACKING = 0.25  # of the tolerance: part of a current that may be missing in a young run
 NEAR = 1.1  # factor by which a pilot's transient may be shorter than its own result requires
 LARGE = 0.75  # chi below which the circuit may be close to a transition
@@ -459,14 +460,17 @@ def advise(
     found = found or pilot(groups, circuit, quantity, tolerance, longest=longest)
     start = start_of(groups, quantity)
     rest = (found.value, found.seconds, found.thresholds)
-    if not (math.isfinite(found.value) and math.isfinite(found.error) and found.value != 0.0):
-        reason = f"A pilot of {REPLICAS} runs finds no {quantity}: nothing to be within a tolerance"
+    error = found.error / math.sqrt(REPLICAS)
+    if not (math.isfinite(error) and abs(found.value) > FROM_ZERO * error):
+        known = math.isfinite(found.value) and math.isfinite(error)
+        told = f" that differs from 0, {found.value:.2g} +- {error:.2g}" if known else ""
+        reason = (f"A pilot of {REPLICAS} runs finds no {quantity}{told}: nothing to be within a "
+                  "tolerance")  # fmt: skip
         if found.thresholds:
             reason += f" of; chi does not fall through {HALFWAY} at T = {found.thresholds}"
         return Advice("none", 0, 0.0, 0.0, start, math.nan, 0.0, f"{reason}.", *rest)
     replicas = replicas_for(found, tolerance)
     cost = replicas * (found.transient + found.measured) * found.per_time
-    error = found.error / math.sqrt(REPLICAS)
     needed = (
         f"A pilot of {REPLICAS} runs from {start} of {circuit.number} in urn 1 has "
         f"{found.value:.4g} +- {error:.1g}, "

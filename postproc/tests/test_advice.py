@@ -299,6 +299,15 @@ def test_replicas_that_do_not_scatter_have_an_answer(
     assert advice.advise(advice.table_of(circuit), circuit, "chi", 0.02, found).rung == rung
 
 
+@pytest.mark.parametrize(("scatter", "differs"), [(1.0, True), (2.0, False)])
+def test_no_tolerance_of_a_mean_that_may_be_zero(scatter: float, differs: bool) -> None:
+    """Its error is the scatter over 4, and three errors are not told from 0."""
+    circuit = Circuit(300, 40, 0.6, 0.01)
+    found = replace(FOUND, value=1.0, scatter=scatter)
+    given = advice.advise(advice.table_of(circuit), circuit, "polarised_current", 0.05, found)
+    assert (given.rung != "none") is differs
+
+
 def test_a_pilot_that_takes_long_is_not_begun(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

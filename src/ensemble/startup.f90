@@ -299,8 +299,9 @@ contains
     logical :: same
 
     remedy = discard_text
-    if (file_exists(journal_folder(plan))) remedy = 'move it away, or name another output file; ' &
-      //'--overwrite would discard '//journal_folder(plan)//' as well'
+    if (file_exists(journal_folder(plan))) remedy = 'name another output file, or move it away, ' &
+      //'with '//journal_folder(plan)//' if that is of the same input; --overwrite would ' &
+      //'discard both'
     if (is_read) remedy = 'use the namelist and the version that it was made with'
     call compare_inputs(plan, plan%file, remedy, file%namelist, file%initial_fingerprint, &
       file%plan, same, error)
