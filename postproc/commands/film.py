@@ -3,7 +3,7 @@
 The film shows the table with its particles; a gate flashes when it reverses (if the run has an
 event log); below are chi and the net current of channel 2 against time (the current if the run has
 a series). Snapshots follow each other, as they are. MP4, or GIF with `--gif`. Its name begins with
-that of the results file.
+that of the results file, and has --point and --replica if they are given, as that of a figure.
 """
 
 from __future__ import annotations
@@ -23,7 +23,9 @@ def main(arguments: list[str] | None = None) -> int:
     options.add_argument("--gif", action="store_true", help="write a GIF, not an MP4")
     cli.add_output(options)
     given = options.parse_args(arguments)
-    path = given.output / f"{given.file.stem}_film.{'gif' if given.gif else 'mp4'}"
     task = {"point": given.point, "replica": given.replica}
+    told = [f"{key}={value}" for key, value in task.items() if value is not None]
+    name = "_".join([given.file.stem, "film", *told])
+    path = given.output / f"{name}.{'gif' if given.gif else 'mp4'}"
     print(film(given.file, path, seconds=given.seconds, verify=given.verify, **task))
     return 0

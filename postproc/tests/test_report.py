@@ -438,6 +438,15 @@ def test_a_frame_shows_its_moment(filmed: Path) -> None:
     assert not np.array_equal(pixels, stage.figure.canvas.buffer_rgba())
 
 
+def test_films_of_two_tasks_have_two_names(filmed: Path, tmp_path: Path) -> None:
+    for replica in ("0", "1"):
+        words = ["--gif", "--seconds", "0.1", "--replica", replica, "--output", str(tmp_path)]
+        assert call("film", [str(filmed), *words]) == 0
+    assert sorted(one.name for one in tmp_path.iterdir()) == [
+        f"run_film_replica={replica}.gif" for replica in (0, 1)
+    ]
+
+
 def test_a_film_shows_its_snapshots_equally_long() -> None:
     assert film.snapshots_shown(2, 30.0).tolist() == [0] * film.RATE + [1] * film.RATE
     assert film.snapshots_shown(10, 2.0).tolist() == [at for at in range(10) for _ in range(5)]
