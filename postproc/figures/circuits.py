@@ -73,13 +73,14 @@ def few_points(points: xr.Dataset) -> xr.Dataset:
 def title(points: xr.Dataset, at: int) -> str:
     """Return what distinguishes a point: the keys of the scan, or N, T, w and w'."""
     names = [name for name in keys_of(points) if name not in STARTS]
-    names += [*second_values(points), *["start"] * (np.unique(points["start"]).size > 1)]
-    return ", ".join(equals(name, float(points[name][at])) for name in names or PARAMETERS)
+    names += ["start"] * (np.unique(points["start"]).size > 1)
+    names = [*(names or PARAMETERS), *second_values(points)]
+    return ", ".join(equals(name, float(points[name][at])) for name in names)
 
 
 def common(points: xr.Dataset) -> str:
-    """Return N, T, w and w', as far as they are the same at all points."""
-    values = {name: np.unique(points[name]) for name in PARAMETERS}
+    """Return N, T, w and w', as far as they are the same at all points, and what gate 2 has."""
+    values = {name: np.unique(points[name]) for name in (*PARAMETERS, *second_values(points))}
     return ", ".join(equals(name, float(one[0])) for name, one in values.items() if one.size == 1)
 
 

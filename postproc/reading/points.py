@@ -196,9 +196,9 @@ def keys_of(points: xr.Dataset) -> dict[str, NDArray[np.generic]]:
 
 
 def second_values(points: xr.Dataset) -> dict[str, NDArray[np.generic]]:
-    """Return the values of gate 2 and urn 2 where they differ from those of 1, unless scanned."""
+    """Return the values of gate 2 and urn 2 where they differ from those of 1, unless a key."""
     return {second: points[second].values for second, first in PAIRS.items()
-            if second in points and second not in points.coords
+            if second in points and second not in keys_of(points)
             and not np.array_equal(points[second], points[first])}  # fmt: skip
 
 

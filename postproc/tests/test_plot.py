@@ -158,6 +158,9 @@ def test_every_point_of_pairs_that_repeat_a_value_is_shown_and_can_be_chosen(
     for at, (one, other) in enumerate(pairs):
         found = selected(data, [("threshold2", other), ("threshold", one)])
         assert found.identical(data.isel(threshold=at))
+        point = by_point(found.sel(channel2_width=0.1))
+        assert ("$T_2 = " in circuits.title(point, 0)) is (other != one)
+        assert ("$T_2 = " in circuits.common(point)) is (other != one)
     assert exactly(data["channel2_width"].values[0]) == "0.02"
     assert float(exactly(4.0 / 3.0)) == 4.0 / 3.0  # as messages name it
     both = selected(data, [("channel2_width", 0.1), ("threshold", 3), ("channel2_width", 0.02)])
