@@ -37,7 +37,7 @@ from postproc.reading.results_file import ResultsFile
 from postproc.theory.models import defaults, named
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Hashable, Sequence
 
     from numpy.typing import NDArray
 
@@ -346,31 +346,35 @@ def dataset_of(
 
 
 def selected(data: xr.Dataset, values: Iterable[tuple[str, float]]) -> xr.Dataset:
-    """Return the points with these values of keys; raise `InputError` if one is at no point.
+    """Return the points with these values of keys; raise `InputError` if there are none.
 
     Of a key that is given more than once, the points with any of its values.
     """
     wanted: dict[str, list[float]] = {}
     for key, value in values:
         wanted.setdefault(key, []).append(value)
+    # Merged points that are no grid have values of their own.
+    names = dict.fromkeys([*map(str, data["task"].dims), *PARAMETERS, *FRACTIONS.values()])
+    known = [one for one in names if one in data
+             and data[one].dims in ((one,), ("point",), (PAIRS.get(one),))]  # fmt: skip
+    chosen: dict[Hashable, NDArray[np.bool_]] = {}  # along each dimension
     for key, allowed in wanted.items():
-        # Merged points that are no grid have values of their own.
-        names = dict.fromkeys([*map(str, data["task"].dims), *PARAMETERS, *FRACTIONS.values()])
-        known = [one for one in names if one in data
-                 and data[one].dims in ((one,), ("point",), (PAIRS.get(one),))]  # fmt: skip
         if key not in known:
             raise InputError(
                 f"there is no scanned key {key} to select by; there are {', '.join(known)}"
             )
-        dims = data[key].dims
+        (name,) = data[key].dims
         near = np.isclose(data[key].values[:, np.newaxis], allowed, rtol=1e-9, atol=0.0)
         if not near.any(axis=0).all():
-            missing = allowed[near.any(axis=0).argmin()]
+            missing = exactly(allowed[near.any(axis=0).argmin()])
             there = ", ".join(map(exactly, np.unique(data[key])))
-            raise InputError(f"no point has {key} = {missing:g}; there are {there}")
-        found = np.flatnonzero(near.any(axis=1))
-        data = data.isel({dims[0]: found if dims == ("point",) or found.size > 1 else found[0]})
-    return data
+            raise InputError(f"no point has {key} = {missing}; there are {there}")
+        chosen[name] = near.any(axis=1) & chosen.get(name, True)
+        if not chosen[name].any():
+            raise InputError(f"no point has these values together: {', '.join(wanted)}")
+    places = {name: np.flatnonzero(one) for name, one in chosen.items()}
+    return data.isel({name: found if name == "point" or found.size > 1 else found[0]
+                      for name, found in places.items()})  # fmt: skip
 
 
 def _independent(table: pd.DataFrame) -> list[str]:

@@ -36,6 +36,7 @@ PARAMETERS = (
 OPTIONAL = ("threshold2", "urn_radius2", "scatterer_count")  # where it is of use
 WHOLE = ("number", "threshold", "threshold2", "urn1_number", "scatterer_count")
 FLOWS = ("flow1_12", "flow1_21", "flow2_12", "flow2_21")
+COUNTS = ("task", "collisions", "reversals", "bounce_backs")  # whole in each run, not on average
 COMPLETE, NOT_ASKED = 0, 3  # values of `task_status`
 TWO_STATES, UNDECIDED = 2, 3  # values of `point_status`
 #: Variables whose names end so are errors of the mean over all replicas of a point.
@@ -100,7 +101,7 @@ def flat(data: xr.Dataset, *needed: str) -> xr.Dataset:
     if empty := [str(name) for name, size in data["task"].sizes.items() if size == 0]:
         raise InputError(f"data: is empty along {empty[0]}")
     if "replica" not in data.dims:  # one that was chosen
-        if data["task"].dtype.kind == "f":
+        if any(np.any(data[name].values % 1 > 0) for name in COUNTS if name in data):
             told = "give all of them, or one that isel chooses"
             raise InputError(f"data: has no replicas any more, such as after mean; {told}")
         by_point = {name for name in data if set(data[name].dims) <= set(data["task"].dims)
@@ -263,7 +264,7 @@ def with_tasks(points: xr.Dataset) -> xr.Dataset:
 
 def exactly(value: float) -> str:
     """Return a number as it must be typed to be found: with all its digits."""
-    return f"{value:g}" if float(f"{value:g}") == value else repr(float(value))
+    return f"{value:g}" if float(f"{value:g}") == value else repr(float(value)).removesuffix(".0")
 
 
 def need_only(points: xr.Dataset, *shown: str) -> None:

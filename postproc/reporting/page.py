@@ -16,7 +16,6 @@ import pandas as pd
 from bokeh.document import Document
 from bokeh.embed import file_html
 from bokeh.models import (
-    ArrowHead,
     Axis,
     CDSView,
     ColorBar,
@@ -373,7 +372,7 @@ INKED = {
     Title: ("text_color",),
     Axis: ("axis_label_text_color", "major_label_text_color", "axis_line_color",
            "major_tick_line_color", "minor_tick_line_color"),
-    Segment: ("line_color",), ArrowHead: ("line_color",), Line: ("line_color",),
+    Segment: ("line_color",), Line: ("line_color",),
     Legend: ("label_text_color",), ColorBar: ("major_label_text_color",),
 }  # fmt: skip
 PAPERED = {

@@ -163,6 +163,12 @@ def test_every_point_of_pairs_that_repeat_a_value_is_shown_and_can_be_chosen(
         assert ("$T_2 = " in circuits.common(point)) is (other != one)
     assert exactly(data["channel2_width"].values[0]) == "0.02"
     assert float(exactly(4.0 / 3.0)) == 4.0 / 3.0  # as messages name it
+    assert exactly(1234567) == "1234567"
+    with pytest.raises(InputError, match="no point has these values together: threshold, thresh"):
+        selected(data.isel(threshold=[0, 1, 2]), [("threshold", 3), ("threshold2", 9)])
+    part = data.isel(threshold=[0, 1, 2])  # of which T = 3 is one
+    found = selected(part, [("threshold", 3), ("threshold2", 1)])
+    assert found.identical(data.isel(threshold=2))
     both = selected(data, [("channel2_width", 0.1), ("threshold", 3), ("channel2_width", 0.02)])
     assert both.identical(data.sel(threshold=3))
     points = by_point(data)
@@ -174,6 +180,12 @@ def test_every_point_of_pairs_that_repeat_a_value_is_shown_and_can_be_chosen(
     words = ["curves", str(path), "--output", str(tmp_path), "--select", "threshold2=8"]
     assert call("plot", words) == 2
     assert "no point has threshold2 = 8; there are 1, 9" in capsys.readouterr().err
+
+
+def test_single_runs_that_where_chose_are_no_means(folder: Path) -> None:
+    data = postproc.open_results(folder / "map.h5").isel(replica=0)
+    found = postproc.table(data.where(data["threshold"] > 2, drop=True))
+    assert np.array_equal(found["chi"], data["chi"].values[1:].ravel())
 
 
 def test_a_map_is_of_two_keys_and_has_the_lines_that_are_asked_for(
