@@ -447,7 +447,7 @@ def advise(
     """Return the cheapest rung that meets a relative tolerance with the probability `SURE`.
 
     If that is an engine and the pilot is enough, its runs. The time is not limited; it is part of
-    the advice. If the quantity does not exist, the rung is "none".
+    the advice. If the quantity does not exist, or is not told from 0, the rung is "none".
 
     Parameters
     ----------

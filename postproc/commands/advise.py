@@ -10,8 +10,8 @@ Runs begin with urn1_number or urn1_fraction of the namelist, else with a twenti
 in urn 1 (for a transition three tenths), not with half of them as the program does.
 The last line, on standard error, is the advice in a sentence. `duration` includes the transient, as
 in the namelist. `confidence` is the probability that the tolerance is met. If the quantity does not
-exist, `rung` is "none". These theories have no polygons and no scatterers, so such namelists are
-refused, and so are scans of several points.
+exist, or the pilot does not tell it from 0 by three errors, `rung` is "none". These theories have
+no polygons and no scatterers, so such namelists are refused, and so are scans of several points.
 """
 
 from __future__ import annotations
