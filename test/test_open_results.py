@@ -349,7 +349,7 @@ def test_what_a_figure_advises_to_select_can_be_selected(
     with pytest.raises(InputError, match="no place for") as refused:
         postproc.plot.curves(data)
     ((key, value),) = re.findall(r"--select (\w+)=(\S+)", str(refused.value))
-    assert key in selected(data, {key: float(value)}).coords
+    assert key in selected(data, [(key, float(value))]).coords
 
 
 def test_lifetimes_combine_runs_of_one_circuit_and_refuse_other_widths(tmp_path: Path) -> None:
