@@ -19,7 +19,8 @@ def main(arguments: list[str] | None = None) -> int:
     options = cli.parser("film", __doc__)
     options.add_argument("file", metavar="FILE.h5", type=Path)
     cli.add_task(options)
-    options.add_argument("--seconds", type=float, default=SECONDS, help="most (default: 30)")
+    about = "longest that it may last (default: 30)"
+    options.add_argument("--seconds", type=float, default=SECONDS, help=about)
     options.add_argument("--gif", action="store_true", help="write a GIF, not an MP4")
     cli.add_output(options)
     given = options.parse_args(arguments)

@@ -79,7 +79,7 @@ def title(points: xr.Dataset, at: int) -> str:
 
 
 def common(points: xr.Dataset) -> str:
-    """Return N, T, w and w', as far as they are the same at all points, and what gate 2 has."""
+    """Return N, T, w and w', and T and r of the other side, if they are the same at all points."""
     values = {name: np.unique(points[name]) for name in (*PARAMETERS, *second_values(points))}
     return ", ".join(equals(name, float(one[0])) for name, one in values.items() if one.size == 1)
 

@@ -137,10 +137,10 @@ def by_point(data: xr.Dataset) -> xr.Dataset:
     """Return a dataset with the dimension `point`, and what is known of each point and task.
 
     Coordinates along `point` are the keys of the scan, in its order, and the second values of pairs
-    that repeat a first one. Every parameter has a value at
-    each point. Added are `circuit`, whose urns and gates may be unequal; `start`, chi at the
-    beginning (`_starts`); `two_states`, whether replicas are in two (`_two_states`), so that they
-    have no mean; and of each task `asked`, whether it was requested, and `complete`.
+    that repeat a first one. Every parameter has a value at each point. Added are `circuit`, whose
+    urns and gates may be unequal; `start`, chi at the beginning (`_starts`); `two_states`, whether
+    replicas are in two (`_two_states`), so that they have no mean; and of each task `asked`,
+    whether it was requested, and `complete`.
     """
     points = flat_results(data)
     known = [name for name in PARAMETERS if name in points]

@@ -503,8 +503,8 @@ contains
     end if
     longer = ''
     if (index(keys, '&run collisions') > 0 .or. index(keys, '&run duration') > 0) longer = &
-      new_line_character//'(a run goes on from the &output final_state of another, written as a ' &
-      //'text: its &particles initial_file)'
+      new_line_character//'(to go on from a finished run, write its &output final_state as a ' &
+      //'text, and give that as &particles initial_file)'
     call fatal_error(error, path//' was made from another input; these differ:' &
       //new_line_character//keys//new_line_character//remedy//longer, exit_bad_input)
   end subroutine compare_inputs

@@ -5,7 +5,7 @@ module battery_summary
   use battery_command_line, only: command_line_words
   use battery_keys, only: key_threshold, key_threshold_fraction, key_number, key_width
   use battery_kinds, only: wp, dp, int64
-  use battery_plan, only: plan_type, point_type, point_text, is_scanned, table_of
+  use battery_plan, only: plan_type, point_text, is_scanned, table_of
   use battery_table, only: channel1, channel2, relaxation_time
   use battery_tasks, only: task_count
   use battery_precision, only: cut_between_groups, in_two_states
@@ -128,7 +128,8 @@ contains
     end if
     if (task_count(plan) > most_rows .or. .not. any(lacks)) return
     ! Why an error is missing: battery_observer.
-    if (any([(never_relaxes(plan, results%point(p)), p=1, plan%point_count)])) then
+    if (any([(relaxation_time(table_of(plan, results%point(p))), p=1, plan%point_count)] &
+      >= huge(1.0_wp))) then
       text = 'directions of motion never relax in these urns'
     else if (lacks(1)) then
       text = 'the run is too short, or its slowest changes are by far its largest'
@@ -142,14 +143,6 @@ contains
     end if
     call print_line('-: no error of its own: '//text)
   end subroutine print_tables
-
-  !> Whether no run at a point is long enough for directions of motion to relax.
-  pure logical function never_relaxes(plan, point)
-    type(plan_type), intent(in) :: plan
-    type(point_type), intent(in) :: point
-
-    never_relaxes = relaxation_time(table_of(plan, point)) >= huge(1.0_wp)
-  end function never_relaxes
 
   !> Places in `names` of what the tables show: chi and the polarised current where they are known,
   !> the currents of the channels where a task has an error of them, or nothing else is known; none
