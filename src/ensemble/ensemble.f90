@@ -7,15 +7,15 @@ module battery_ensemble
   use battery_kinds, only: wp, dp, int64
   use battery_clocks, only: wall_seconds, utc_now
   use battery_communicator, only: communicator_type, task_queue_type, open_task_queue, &
-    close_task_queue, read_counter, share_error, share_text, mean_over_ranks, tasks_finished, &
-    tasks_failed, collisions_done, sleep_until_all
+    close_task_queue, read_counter, share_error, share_text, share_words, mean_over_ranks, &
+    tasks_finished, tasks_failed, collisions_done, sleep_until_all
   use battery_error, only: error_type, fatal_error, exit_success, exit_failure, exit_stopped_early
   use battery_journal, only: remove_journal
   use battery_launcher, only: check_output_folder, launcher_hint
   use battery_merge, only: merge_results, sources_type, close_sources
   use battery_lock_file, only: lock_type, acquire_lock, release_lock, check_lock
   use battery_plan, only: plan_type
-  use battery_startup, only: find_pending_tasks, find_further_tasks
+  use battery_startup, only: find_pending_tasks, find_further_tasks, check_protected
   use battery_results, only: results_type, all_tasks_complete
   use battery_signals, only: request_stop_after, signal_received
   use battery_summary, only: print_summary, stopped_text
@@ -43,16 +43,27 @@ contains
     type(monitor_type) :: monitor
     real(dp) :: start_seconds
     integer(int64) :: collisions
+    integer(int64), allocatable :: shared(:)
     character(len=20) :: start_date
     logical :: complete, goes_on
 
     exit_code = exit_failure
-    if (communicator%rank == 0) call acquire_lock(lock, plan%file, error, &
-      hint=launcher_hint(communicator))
+    complete = .false.
+    if (communicator%rank == 0) then
+      call check_protected(plan, overwrite, quiet, complete, error)
+      if (.not. (complete .or. allocated(error))) call acquire_lock(lock, plan%file, error, &
+        hint=launcher_hint(communicator))
+    end if
     ! Rank 0 may have waited for the end of another run.
     call sleep_until_all(communicator)
     call share_error(communicator, error)
     if (allocated(error)) return
+    shared = [merge(1_int64, 0_int64, complete)]
+    call share_words(communicator, shared)
+    if (shared(1) == 1) then
+      exit_code = exit_success
+      return
+    end if
     call share_text(communicator, lock%path, 0)
     call share_text(communicator, lock%text, 0)
     call check_output_folder(communicator, lock, plan%file, error)

@@ -7,7 +7,8 @@ module battery_plan_report
   use battery_json_report, only: write_json
   use battery_available_memory, only: estimate_type, size_text
   use battery_merge, only: sources_type, close_sources
-  use battery_startup, only: progress_type, inspect_output, set_pending, further_text
+  use battery_startup, only: progress_type, inspect_output, set_pending, further_text, &
+    check_writable
   use battery_plan, only: plan_type, point_type, point_of
   use battery_plan_remarks, only: remarks_of
   use battery_precision, only: decide_replicas
@@ -51,6 +52,7 @@ contains
 
     message = ''
     if (overwrite) then
+      call check_writable(plan, error)
       call new_results(results, plan%point_count, plan%replicas)
       call decide_replicas(plan, results)
       call set_pending(plan, results, progress)

@@ -8,6 +8,7 @@ module battery_startup
   use battery_error, only: error_type, fatal_error, exit_failure, exit_bad_input
   use battery_files, only: file_exists, make_folder, remove_file, publish_file, file_stamp_type
   use battery_findings, only: findings_type, findings_text
+  use battery_input_files, only: reason_unwritable
   use battery_journal, only: journal_type, find_journal, find_task_ids, begin_journal, &
     join_journal, states_in, remove_journal
   use battery_lock_file, only: lock_type, acquire_lock, release_lock
@@ -27,7 +28,7 @@ module battery_startup
   implicit none (type, external)
   private
   public :: find_pending_tasks, find_further_tasks, progress_type, inspect_output, set_pending
-  public :: further_text, accept_output
+  public :: further_text, accept_output, check_protected, check_writable
   public :: write_partial_results
 
   character(len=*), parameter :: discard_text = &
@@ -193,6 +194,8 @@ contains
       message = plan%file//' is complete; --overwrite runs it again'
       return
     end if
+    call check_writable(plan, error)
+    if (allocated(error)) return
     ! The results are written under this name first.
     call check_discardable(plan%file//'.part', error)
     if (allocated(error)) return
@@ -212,6 +215,45 @@ contains
       //to_text(progress%finished + size(progress%pending))//' tasks are finished' &
       //further_text(progress)
   end subroutine inspect_output
+
+  !> Checks whether an output that cannot be written is complete, as protected results are: then
+  !> nothing is to be done, and the lock, which is a file, is not needed.
+  subroutine check_protected(plan, overwrite, quiet, complete, error)
+    type(plan_type), intent(in) :: plan
+    !> Whether to discard existing results; whether to print nothing.
+    logical, intent(in) :: overwrite, quiet
+    !> Whether the output cannot be written and is complete.
+    logical, intent(out) :: complete
+    !> It cannot be written and is not complete; code `exit_bad_input`.
+    type(error_type), allocatable, intent(out) :: error
+    type(sources_type) :: sources
+    type(progress_type) :: progress
+    character(len=:), allocatable :: message
+    type(error_type), allocatable :: unwritable
+
+    complete = .false.
+    call check_writable(plan, unwritable)
+    if (.not. allocated(unwritable)) return
+    if (overwrite) then
+      call move_alloc(unwritable, error)
+      return
+    end if
+    call inspect_output(plan, sources, progress, message, error)
+    call close_sources(sources)
+    complete = progress%complete .and. .not. allocated(error)
+    if (complete .and. .not. quiet) call print_line(message)
+  end subroutine check_protected
+
+  !> An error if the results file of a plan cannot be written.
+  subroutine check_writable(plan, error)
+    type(plan_type), intent(in) :: plan
+    !> Code `exit_bad_input`.
+    type(error_type), allocatable, intent(out) :: error
+    character(len=:), allocatable :: reason
+
+    reason = reason_unwritable(plan%file, .true.)
+    if (reason /= '') call fatal_error(error, plan%file//': '//reason, exit_bad_input)
+  end subroutine check_writable
 
   !> Text for the tasks that go on from a saved state, and for the number that may be needed besides
   !> those known to be needed; empty: none.

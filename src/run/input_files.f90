@@ -46,8 +46,9 @@ contains
     call use_initial_file(plan, error)
   end subroutine read_namelist
 
-  !> Checks that an initial file is no pipe and begins one run, and that the results file can be
+  !> Checks that an initial file is no pipe and begins one run, and that a new results file can be
   !> written and would replace no input file; of an output that is a link, the target is checked.
+  !> One that is there may be complete and protected: see `check_writable` in `battery_startup`.
   subroutine check_files(plan)
     type(plan_type), intent(inout) :: plan
     type(error_type), allocatable :: error
@@ -63,7 +64,9 @@ contains
     if (allocated(error)) then
       reason = error%message
     else
-      reason = reason_unwritable(plan%file, .true.)
+      reason = ''
+      if (is_pipe_or_device(plan%file) .or. is_folder(plan%file) .or. .not. &
+        file_exists(plan%file)) reason = reason_unwritable(plan%file, .true.)
     end if
     if (reason == '' .and. is_folder(plan%file//'.part')) &
       reason = 'there is a folder '//plan%file//'.part'
