@@ -83,3 +83,19 @@ def test_a_command_draws_alike_whatever_backend_and_matplotlibrc_say(tmp_path: P
     assert (ended.returncode, ended.stderr) == (0, "")
     for path in style.save(lengths.figure_circuit(), tmp_path / "here", "model"):
         assert (tmp_path / path.name).read_bytes() == path.read_bytes(), path.name
+
+
+def test_settings_with_which_matplotlib_cannot_be_imported_are_one_line(tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "postproc", "plot", "model", "--output", str(tmp_path)]
+    for text, words in (
+        (b"# K\xf6rper", "can't decode byte 0xf6"),
+        (b"axes.formatter.use_locale: True", "unsupported locale"),
+    ):
+        (tmp_path / "matplotlibrc").write_bytes(text + b"\n")
+        environment = {**os.environ, "MATPLOTLIBRC": str(tmp_path), "LC_ALL": "xx_XX.UTF-8"}
+        ended = subprocess.run(command, env=environment, capture_output=True, check=False)
+        assert ended.returncode == 2
+        last = ended.stderr.decode().splitlines()[-1]
+        assert last.startswith("error: matplotlib cannot be imported with the settings of this")
+        assert words in last
+        assert b"Traceback" not in ended.stderr

@@ -6,18 +6,21 @@ module battery_foreign_bytes
   use battery_text, only: to_text, new_line_character
   implicit none (type, external)
   private
-  public :: text_start, namelist_problem, foreign_byte_text, is_results_file
+  public :: text_start, namelist_problem, foreign_byte_text, unseen_bytes_text, is_results_file
 
   character(len=1), parameter :: tab = achar(9), return_sign = achar(13)
 
-  !> Sequences of bytes that occur in files, in hexadecimal, and what they are.
-  character(len=9), parameter :: sequence(13) = [character(len=9) :: 'C2 A0', 'E2 80 AF', &
-    'E2 88 92', 'E2 80 93', 'E2 80 94', 'E2 80 98', 'E2 80 99', 'E2 80 9C', 'E2 80 9D', &
-    'EF BB BF', 'FF FE', 'FE FF', '0D']
-  character(len=32), parameter :: meaning(13) = [character(len=32) :: 'a no-break space', &
-    'a no-break space', 'a minus sign, U+2212', 'a dash', 'a dash', 'a typographic quote', &
-    'a typographic quote', 'a typographic quote', 'a typographic quote', 'a byte order mark', &
-    'the file is UTF-16', 'the file is UTF-16', 'a carriage return alone']
+  !> Sequences of bytes that occur in files, in hexadecimal, and what they are. The first ones
+  !> cannot be seen.
+  integer, parameter :: unseen = 6
+  character(len=9), parameter :: sequence(16) = [character(len=9) :: 'C2 A0', 'E2 80 AF', &
+    'C2 AD', 'E2 80 8B', 'E2 81 A0', 'EF BB BF', 'E2 88 92', 'E2 80 93', 'E2 80 94', 'E2 80 98', &
+    'E2 80 99', 'E2 80 9C', 'E2 80 9D', 'FF FE', 'FE FF', '0D']
+  character(len=32), parameter :: meaning(16) = [character(len=32) :: 'a no-break space', &
+    'a no-break space', 'a soft hyphen', 'a space of no width', 'a space of no width', &
+    'a byte order mark', 'a minus sign, U+2212', 'a dash', 'a dash', 'a typographic quote', &
+    'a typographic quote', 'a typographic quote', 'a typographic quote', &
+    'the file is UTF-16 or UTF-32', 'the file is UTF-16 or UTF-32', 'a carriage return alone']
 
 contains
 
@@ -110,6 +113,25 @@ contains
     message = 'has the byte'//trim(merge('s', ' ', last > at))//' '//message//' in column ' &
       //to_text(at)
   end function foreign_byte_text
+
+  !> The bytes of a sign that cannot be seen, such as a no-break space, with which a text begins or
+  !> ends, and what they are; empty: none. Within names of files there may be any sign of UTF-8.
+  pure function unseen_bytes_text(text) result(message)
+    character(len=*), intent(in) :: text
+    character(len=:), allocatable :: message
+    integer :: k, length
+
+    message = ''
+    do k = 1, unseen
+      length = (len_trim(sequence(k)) + 1)/3
+      if (length > len(text)) cycle
+      if (hexadecimal(text(:length)) == sequence(k)) message = 'begins with'
+      if (hexadecimal(text(len(text) - length + 1:)) == sequence(k)) message = 'ends with'
+      if (message == '') cycle
+      message = message//' the bytes '//trim(sequence(k))//' ('//trim(meaning(k))//')'
+      return
+    end do
+  end function unseen_bytes_text
 
   !> Bytes as numbers in hexadecimal, with blanks between.
   pure function hexadecimal(bytes) result(text)

@@ -80,7 +80,7 @@ contains
         call read_in_group(reader, entry, problems)
       else if (at_end(reader)) then
         exit
-      else if (next_sign(reader) == '&') then
+      else if (begins_group(reader)) then
         reader%at = reader%at + 1
         entry%line = reader%line
         call read_before(reader, verify(reader%text(reader%at:), name_signs), entry%group)
@@ -91,7 +91,7 @@ contains
         call add_finding(problems, finding_of(reader%line, 'text outside of any group: ' &
           //rest_of_line(reader)//'; a group begins with &name and ends with /'))
         ! All up to the next group is one problem.
-        do while (.not. (at_end(reader) .or. next_sign(reader) == '&'))
+        do while (.not. (at_end(reader) .or. begins_group(reader)))
           call skip_line(reader)
           call skip_blanks(reader, .false.)
         end do
@@ -133,7 +133,7 @@ contains
     next = lower_case(reader%text(reader%at:min(len(reader%text), reader%at + 3)))
     if (next(1:1) == '/' .or. next == '&end') then
       reader%at = reader%at + merge(1, 4, next(1:1) == '/')
-    else if (at_end(reader) .or. next(1:1) == '&') then
+    else if (at_end(reader) .or. begins_group(reader)) then
       call add_finding(problems, finding_of(reader%group_line, &
         'the / that ends the group is missing', group=reader%group))
     else
@@ -146,7 +146,7 @@ contains
   !> Parses an entry `key = values`.
   subroutine read_entry(reader, entry, problems)
     type(reader_type), intent(inout) :: reader
-    !> Does not change if there is no key, or no =.
+    !> Does not change if there is no key.
     type(entry_type), intent(inout) :: entry
     type(findings_type), intent(inout) :: problems
     character(len=:), allocatable :: key, name
@@ -159,23 +159,25 @@ contains
     if (key == '') then
       call add_finding(problems, finding_of(reader%line, 'a key was expected at: ' &
         //rest_of_line(reader), group=reader%group))
-      call skip_line(reader)
+      call skip_entries(reader)
       return
     end if
     call skip_blanks(reader, .false.)
     last_index = any_index
     if (scan(next_sign(reader), '(%') == 1) call read_index(reader, last_index)
-    if (next_sign(reader) /= '=') then
-      call add_finding(problems, finding_of(line, name//': = is missing'))
-      return
-    end if
-    reader%at = reader%at + 1
     before = problems%count
-    call read_values(reader, name, entry%values, problems)
-    if (last_index /= any_index .and. last_index /= size(entry%values)) &
-      call add_finding(problems, finding_of(line, name//': parts of a key cannot be set', &
-        'the whole list, '//displayable_text(key)//' = 1, 2, ... or '//displayable_text(key) &
-        //'(1:2) = 1, 2'))
+    allocate (entry%values(0))
+    if (next_sign(reader) == '=') then
+      reader%at = reader%at + 1
+      call read_values(reader, name, entry%values, problems)
+    else
+      call add_finding(problems, finding_of(line, name//': = is missing'))
+      call skip_entries(reader)
+    end if
+    if (problems%count == before .and. last_index /= any_index .and. &
+      last_index /= size(entry%values)) call add_finding(problems, finding_of(line, &
+      name//': parts of a key cannot be set', 'the whole list, '//displayable_text(key) &
+      //' = 1, 2, ... or '//displayable_text(key)//'(1:2) = 1, 2'))
     entry%refused = problems%count > before
     entry%group = reader%group
     entry%key = key
@@ -229,8 +231,13 @@ contains
       call skip_blanks(reader, .false.)
       if (at_end(reader)) exit
       select case (next_sign(reader))
-      case ('/', '&')
+      case ('/')
         exit
+      case ('&')
+        if (begins_group(reader)) exit
+        call add_mistake('a list goes on in the next line without &')
+        reader%at = reader%at + 1
+        cycle
       case (',')
         if (after_comma) call add_mistake('a value is missing before a comma')
         after_comma = .true.
@@ -289,7 +296,11 @@ contains
       word = word(star + 1:)
     end if
     value%text = word
-    if (word == '' .and. scan(next_sign(reader), '"'//achar(39)) == 1) then
+    if (word == '(' .and. next_sign(reader) == '/') then
+      problem = 'a list is written without (/ and /)'
+      reader%at = reader%at + max(1, 1 + index(reader%text(reader%at:reader%at &
+        + line_length(reader) - 1), '/)'))
+    else if (word == '' .and. scan(next_sign(reader), '"'//achar(39)) == 1) then
       value%quoted = .true.
       call read_quoted(reader, value%text, problem)
     else if (word == '') then
@@ -322,6 +333,14 @@ contains
     call skip_line(reader)
     problem = 'the quote that ends '//quote//displayable_text(text)//' is missing in its line'
   end subroutine read_quoted
+
+  !> Whether the next characters are & and a name.
+  pure logical function begins_group(reader) result(begins)
+    type(reader_type), intent(in) :: reader
+
+    begins = next_sign(reader) == '&' .and. reader%at < len(reader%text)
+    if (begins) begins = scan(reader%text(reader%at + 1:reader%at + 1), name_signs) == 1
+  end function begins_group
 
   !> Whether the next characters are a name and =, so that the values have ended.
   logical function key_follows(reader) result(follows)
@@ -359,6 +378,16 @@ contains
       end select
     end do
   end subroutine skip_blanks
+
+  !> Skips what cannot be read: the rest of a line, or of its group if that ends in this line.
+  pure subroutine skip_entries(reader)
+    type(reader_type), intent(inout) :: reader
+    integer :: length
+
+    length = index(reader%text(reader%at:reader%at + line_length(reader) - 1), '/') - 1
+    if (length < 0) length = line_length(reader)
+    reader%at = reader%at + length
+  end subroutine skip_entries
 
   !> Skips the rest of a line; the line end itself is not skipped.
   pure subroutine skip_line(reader)

@@ -8,6 +8,7 @@ module battery_settings
   use battery_text, only: string_type, to_text, lower_case, join, closest_word
   use battery_numbers, only: read_whole, read_decimal
   use battery_findings, only: findings_type, finding_of, add_finding, suggestion, of_group
+  use battery_foreign_bytes, only: foreign_byte_text, unseen_bytes_text
   use battery_namelist_text, only: value_type, entry_type, reader_type, reader_of, read_next, &
     written_text
   use battery_key, only: key_type, distinct_names, find_key, allowed_text, is_beyond, whole_key, &
@@ -15,7 +16,7 @@ module battery_settings
   implicit none (type, external)
   private
   public :: settings_type, read_settings, serialize_settings, find_setting
-  public :: is_given, get_value
+  public :: is_given, is_refused, get_value
 
   !> The value of one key; the type of the key determines the component that is used.
   type :: setting_type
@@ -88,7 +89,7 @@ contains
     place = find_key(settings%all%key, entry%group, entry%key)
     if (place == 0) then
       place = meant_key(settings%all%key, entry)
-      call refuse_key(settings%all%key, entry, place, settings%problems)
+      if (.not. entry%refused) call refuse_key(settings%all%key, entry, place, settings%problems)
     else if (settings%all(place)%given) then
       call refuse_entry(entry, 'is given again', 'once (line ' &
         //to_text(settings%all(place)%line)//')', settings%problems)
@@ -359,6 +360,8 @@ contains
       wrong = 'has '//to_text(len(value%text))//' letters, more than '//to_text(longest_text)
     else if (has_control_sign(value%text)) then
       wrong = 'has a control character'
+    else if (unseen_bytes_text(trim(value%text)) /= '') then
+      wrong = unseen_bytes_text(trim(value%text))
     else if (index(value%text, ' ') == 1 .and. value%text /= '') then
       wrong = 'begins with a blank'
     else if (value%text == '' .and. key%default /= '''''') then
@@ -366,6 +369,8 @@ contains
     else if (key%choices /= '') then
       if (index(trim(value%text), ' ') > 0 .or. &
         index(' '//key%choices, ' '//trim(value%text)//' ') == 0) wrong = 'is not known'
+      if (foreign_byte_text(value%text) /= '') wrong = &
+        foreign_byte_text(value%text)//' of the text'
     end if
   end function wrong_text
 
@@ -410,6 +415,17 @@ contains
 
     is_given = settings%all(find_setting(settings, name))%given
   end function is_given
+
+  !> Whether a key is given wrongly.
+  pure logical function is_refused(settings, name)
+    type(settings_type), intent(in) :: settings
+    !> Name of the key.
+    character(len=*), intent(in) :: name
+
+    associate (setting => settings%all(find_setting(settings, name)))
+      is_refused = setting%given .and. .not. setting%known
+    end associate
+  end function is_refused
 
   !> Gets the value of a key that is no text, of several the first.
   pure subroutine get_value(settings, name, value)

@@ -10,7 +10,7 @@ module battery_plan_checks
   use battery_plan, only: plan_type, point_type, refuse_value, refuse_key, is_scanned, values_of, &
     point_of, table_of, rounded, not_given
   use battery_scatterer_checks, only: check_scatterers
-  use battery_settings, only: is_given
+  use battery_settings, only: is_given, is_refused
   use battery_table, only: channel1, channel2, longest_run
   use battery_text, only: to_text
   use battery_gsl, only: sort_order
@@ -122,7 +122,8 @@ contains
         call refuse_value(plan, 'transient_duration', to_text(plan%transient_duration), &
         'below duration, which is '//to_text(plan%duration))
     else
-      if (plan%transient_duration > 0.0_wp) &
+      ! A duration that was refused has no value here.
+      if (plan%transient_duration > 0.0_wp .and. .not. is_refused(plan%settings, 'duration')) &
         call refuse_value(plan, 'transient_duration', to_text(plan%transient_duration), &
         '0, unless duration is given')
       ! Collisions are 0 here if their value was refused.
