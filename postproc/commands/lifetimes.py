@@ -3,11 +3,11 @@
 At finite N, N2 is a birth-death chain with the theory's rates. A particle goes from urn 1 to urn 2
 at rate f(N - N2)/(pi A) and back at rate f(N2)/(pi A), whose difference is eta. If both kinds of
 state are stable (T = 2 in the paper), a state is left by fluctuations; its lifetime is the mean
-time from the state to the unstable one between them; a state that is not stable has 0. Figure
-lifetimes and the page on theory count from chi = 0 until 0.7 and from chi = 1 until 0.2: so counted
-those of direction are within a factor of 2.3 of runs for T = 1 and 2. At larger T they are too
-long, 14 and 22 times at T = 5, N = 1000, w' = 0.0281: the chain takes crossings as independent, but
-there particles get through a gate in bursts.
+time from the state to the unstable one between them; a state that is not stable has 0. Of two
+polarised states it is the outer one. Figure lifetimes and the page on theory count from chi = 0
+until 0.7 and from chi = 1 until 0.2: so counted those of direction are within a factor of 2.3 of
+runs for T = 1 and 2. At larger T they are too long, 14 and 22 times at T = 5, N = 1000, w' =
+0.0281: the chain takes crossings as independent, but there particles get through a gate in bursts.
 """
 
 from __future__ import annotations

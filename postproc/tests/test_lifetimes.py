@@ -15,6 +15,8 @@ from postproc.figures.passages import first_passage
 from postproc.tests.commands import call
 from postproc.theory import chain
 from postproc.theory.circuit import Circuit
+from postproc.theory.renewal import RENEWAL
+from postproc.theory.states import WELL_MIXED
 
 
 def _generator(circuit: Circuit) -> np.ndarray:
@@ -93,6 +95,17 @@ def test_states_that_are_not_there_or_never_left() -> None:
     assert math.isinf(battery.polarised)
     few = chain.lifetimes(Circuit(4, 1, 1.9, 0.001, channel1_length=60.0))
     assert few.polarised > 0.0  # though its barrier is nearest to N
+
+
+def test_of_two_polarised_states_the_outer_one_is_left_for_the_unstable_one_between() -> None:
+    """Above T = 47 the renewal gate has two polarised states beside an unstable homogeneous one."""
+    circuit = Circuit(4017, 60, channel2_width=0.01687, gate=RENEWAL)
+    *_, unstable, outer = WELL_MIXED.states(circuit)
+    found = chain.lifetimes(circuit)
+    assert (found.homogeneous, unstable.kind, outer.kind) == (0.0, "unstable", "stable")
+    assert found.barrier == pytest.approx(2.0 * unstable.urn2_number / 4017 - 1.0)
+    assert found.polarised == pytest.approx(1935.94, rel=1e-4)  # by a chain of one's own
+    assert found.polarised_share == pytest.approx(3.65e-4, rel=1e-2)
 
 
 def test_a_state_that_nothing_leaves_lasts_for_ever() -> None:

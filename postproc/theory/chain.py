@@ -38,8 +38,8 @@ class Lifetimes:
     Attributes
     ----------
     homogeneous, polarised : lifetimes; infinite if there is no other state, zero if there is no
-        such state.
-    barrier : chi of the unstable state between them, NaN without one.
+        such state. Of two polarised states it is the outer one.
+    barrier : chi of the unstable state that the outer one is left for, NaN without one.
     polarised_share : probability of the stationary chain to be beyond the barrier; for urns that
         relax slowly, from the two lifetimes, and NaN if both are infinite.
     """
@@ -139,18 +139,20 @@ def lifetimes(circuit: Circuit, theory: Theory = WELL_MIXED) -> Lifetimes:
         return Lifetimes(math.inf, 0.0, math.nan, 0.0)
     if not homogeneous and len(polarised) == 1:
         return Lifetimes(0.0, math.inf, math.nan, 1.0)
+    # the outermost state is left inwards: for the homogeneous one, or for another polarised one
     number = int(circuit.number)
-    barrier = 0.5 * number
-    if homogeneous:
-        barrier = max(state.urn2_number for state in states if state.kind == "unstable")
+    barriers = [state.urn2_number for state in states if state.kind == "unstable"]
+    barrier = max(barriers, default=0.5 * number)
     offset, last = (number + 1) // 2, number // 2
     wall = int(np.clip(round(barrier) - offset, 1, last - 1))
     far = int(np.clip(round(polarised[-1].urn2_number) - offset, wall + 1, last))
+    near = 0 if homogeneous else int(np.clip(round(polarised[-2].urn2_number) - offset, 0, wall))
     passage, weights = passages(circuit, theory)
-    times = (passage(0, wall) if homogeneous else 0.0, passage(far, wall))
-    share = 1.0 / (1.0 + times[0] / times[1])
+    inside, outside = passage(near, wall), passage(far, wall)
+    share = 1.0 / (1.0 + inside / outside)
     if weights is not None:
         share = min(1.0, float(weights[wall:].sum()))
+    times = inside if homogeneous else 0.0, outside
     return Lifetimes(*times, 2.0 * barrier / number - 1.0, share)
 
 
