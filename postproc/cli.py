@@ -29,14 +29,16 @@ COMMAND = "battery-postproc"  # all commands as one, where the package is instal
 MARK = "written by battery-postproc"  # in each file that is written, by which it is known again
 
 
-# Asks the system for a signal when the parent, Python, ends, and then replaces itself by the given
-# program. A process of its own does this, since no Python code is safe between fork and exec.
+# Asks the system for a signal when the parent, Python, ends, blocks none of them, and then replaces
+# itself by the given program. A process of its own does this, since no Python code is safe between
+# fork and exec.
 ENDED_WITH = """
 import ctypes, os, signal, sys
 parent, *command = sys.argv[1:]
 prctl = getattr(ctypes.CDLL(None), "prctl", None)
 if prctl is not None:
     prctl(1, int(signal.SIGUSR1), 0, 0, 0)  # PR_SET_PDEATHSIG, which exec keeps
+signal.pthread_sigmask(signal.SIG_SETMASK, ())  # which a parent may have blocked to wait for them
 if os.getppid() != int(parent):
     sys.exit(1)
 try:

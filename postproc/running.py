@@ -10,6 +10,7 @@ import signal
 import subprocess
 import sys
 import tempfile
+import threading
 from collections.abc import Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
@@ -271,7 +272,8 @@ def _answer(
     with _made_folder(place), _work_folder(place) as work:
         path, json_file = _namelist_file(namelist, battery, work), work / "answer.json"
         words = [*words, "--json", str(json_file), "--", str(path)]
-        code, output, errors = _launch([*start, str(battery), *words], place, quiet)
+        with _children_heard():
+            code, output, errors = _launch([*start, str(battery), *words], place, quiet)
         if isinstance(namelist, Mapping):
             errors = errors.replace(str(path), "the namelist")
         errors = program_words(errors)
@@ -388,6 +390,20 @@ def _for_stdout(line: str) -> str:
     """Return a line with escapes for what the standard output of Python cannot show."""
     known = getattr(sys.stdout, "encoding", None) or "utf-8"
     return line.encode(known, "backslashreplace").decode(known)
+
+
+@contextmanager
+def _children_heard() -> Iterator[None]:
+    """Let the exit codes of children be known where Python was started with SIGCHLD ignored."""
+    before = signal.getsignal(signal.SIGCHLD)
+    if before is not signal.SIG_IGN or threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    signal.signal(signal.SIGCHLD, signal.SIG_DFL)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGCHLD, before)
 
 
 def _launch(command: list[str], folder: Path, quiet: bool) -> tuple[int, str, str]:

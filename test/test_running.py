@@ -283,6 +283,28 @@ def interrupt_when_there_is(path: Path) -> None:
     os.kill(os.getpid(), signal.SIGINT)
 
 
+@pytest.mark.usefixtures("interruptible")
+def test_a_run_is_interrupted_where_python_blocks_the_signal(tmp_path: Path) -> None:
+    """Python may wait for SIGUSR1 itself, as for that of a batch system; all inherit it."""
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGUSR1])
+    long = changed(run={"duration": 1e9}, limits={"wall_minutes": 2.0})
+    try:
+        assert is_interrupted(long, tmp_path)
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+def test_a_refusal_is_told_where_the_ends_of_children_are_ignored(tmp_path: Path) -> None:
+    """A shell may have ignored SIGCHLD: then the system keeps no exit codes."""
+    before = signal.signal(signal.SIGCHLD, signal.SIG_IGN)
+    try:
+        with pytest.raises(ValueError, match="duration = -1"):
+            postproc.run(changed(run={"duration": -1.0}), folder=tmp_path, quiet=True)
+        assert signal.getsignal(signal.SIGCHLD) is signal.SIG_IGN
+    finally:
+        signal.signal(signal.SIGCHLD, before)
+
+
 def test_a_run_that_stops_early_says_so(tmp_path: Path) -> None:
     long = changed(run={"duration": 1e5}, limits={"wall_minutes": 1e-3})
     with pytest.raises(RunError, match="stopped early") as caught:

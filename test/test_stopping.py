@@ -93,6 +93,21 @@ def test_nohup_keeps_a_run_from_the_signal_of_its_terminal(
     assert finish(process).returncode == 3
 
 
+@pytest.mark.parametrize("what", [signal.SIGUSR1, signal.SIGTERM])
+def test_a_signal_that_the_parent_has_blocked_is_heard(
+    tmp_path: Path, what: signal.Signals
+) -> None:
+    """Programs block a signal to wait for it, and what they start inherits that."""
+
+    def block() -> None:
+        signal.pthread_sigmask(signal.SIG_BLOCK, [what])
+
+    write_case(CASE, tmp_path)
+    process, _ = under_way("case.nml", folder=tmp_path, prepare=block)
+    send([process.pid], what)
+    assert finish(process).returncode == 3
+
+
 def test_a_run_does_not_wait_for_a_terminal_that_takes_no_text(tmp_path: Path) -> None:
     """Ctrl-S, a lost connection: states are saved, and a request to stop is heard."""
     write_case(CASE, tmp_path)

@@ -311,8 +311,8 @@ def _branch(group: xr.Dataset, model: Model, across: str) -> dict[str, Floats]:
     known = places = group[name].values
     polygons = circuits[0].outline is not None  # with outlines of their own
     if name == "threshold":
-        last = min(int(known.max()), int(circuits[0].number))  # as for all above
-        places = np.arange(max(int(known.min()), 1), last + 1)
+        first, last = int(known.min()), min(int(known.max()), int(circuits[0].number))
+        places = np.arange(first, max(first, last) + 1)  # N is as all above
     elif name not in WHOLE and model.mixed and not (name == "urn_radius" and polygons):
         places = np.union1d(known, np.linspace(known.min(), known.max(), PLACES))
     states = []

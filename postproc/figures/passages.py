@@ -95,12 +95,12 @@ def estimate(times: Sequence[float], passed: Sequence[bool]) -> tuple[float, flo
 
 
 def first_passage(series: xr.Dataset, barrier: float, below: bool) -> tuple[float, bool]:
-    """Return when chi first gets below (or above) `barrier` in a series, and whether it does.
+    """Return when chi first falls to `barrier` (or reaches it) in a series, and whether it does.
 
     Without a passage: how long the series lasts, which bounds the lifetime from below.
     """
     chi, time = series["chi"].values, series["time"].values
-    passed = np.flatnonzero(chi < barrier if below else chi > barrier)
+    passed = np.flatnonzero(chi <= barrier if below else chi >= barrier)
     if passed.size == 0:
         return float(time[-1]), False
     return float(time[passed[0]]), True

@@ -128,6 +128,8 @@ def test_first_passage_in_a_series() -> None:
     time = np.arange(1.0, 6.0)
     series = xr.Dataset({"chi": ("time", [1.0, 0.8, 0.4, 0.0, 0.0])}, {"time": time})
     assert first_passage(series, 0.5, below=True) == (3.0, True)
+    assert first_passage(series, 0.4, below=True) == (3.0, True)  # as the chain counts
+    assert first_passage(series[{"time": slice(None, None, -1)}], 0.8, below=False) == (2.0, True)
     assert first_passage(series, -1.0, below=True) == (5.0, False)
 
 

@@ -66,20 +66,26 @@ static void at_start(int count, char **words, char **environment)
 __attribute__((section(".preinit_array"), used)) static void (*const before_libraries)(int, char **, char **)
   = at_start;
 
-/* Sets the handlers: the signals of the list request a stop; a write beyond a size limit or to a closed
-   pipe fails, but does not end the program. SIGHUP stays ignored where it was ignored. */
+/* Sets the handlers: the signals of the list request a stop, also where whoever started the program has
+   blocked them; a write beyond a size limit or to a closed pipe fails, but does not end the program. SIGHUP
+   stays ignored where it was ignored. */
 void signals_watch(void)
 {
   struct sigaction stop = {0}, ignore = {0};
+  sigset_t heard;
+  sigemptyset(&heard);
   stop.sa_handler = receive;
   stop.sa_flags = SA_RESTART;
   sigemptyset(&stop.sa_mask);
   ignore.sa_handler = SIG_IGN;
   sigemptyset(&ignore.sa_mask);
-  for (int at = 0; at < request_count; at++)
+  for (int at = 0; at < request_count; at++) {
     sigaction(requests[at], requests[at] == SIGHUP && hangup_ignored ? &ignore : &stop, NULL);
+    sigaddset(&heard, requests[at]);
+  }
   sigaction(SIGXFSZ, &ignore, NULL);
   sigaction(SIGPIPE, &ignore, NULL);
+  sigprocmask(SIG_UNBLOCK, &heard, NULL);
 }
 
 /* Place in the list of the first signal received, from 1; 0: none. */
