@@ -201,6 +201,39 @@ def test_who_begins_at_the_end_or_along_an_opening_is_where_it_is(
     assert places["excursion"] == pytest.approx(places["collision"], abs=1e-9)
 
 
+RUNNERS = {
+    # A side below or above sends the particle along the opening of channel 1 or of channel 2.
+    "gate": ("urn_shape = 'polygon', channel1_width = 1.3, channel2_width = 1.3, urn_vertices = "
+             "1,-1.3, 1,1.3, 0,3.175, -3,3.175, -3,-3.175, 0,-3.175",
+             "-0.5259515570934256 -1.317409169550173 0.8304498269896193 0.5570934256055363", 0.5),
+    "channel2": ("urn_shape = 'polygon', channel1_width = 0.5, channel2_width = 1.3, urn_vertices = "
+                 "3,-3.175, 3,3.175, 0,3.175, -1,1.3, -1,-1.3, 0,-3.175",
+                 "-4.474048442906574 1.317409169550173 -0.8304498269896193 -0.5570934256055363",
+                 4.5),
+    "disc": ("urn_radius = 4.25, channel1_width = 4, channel2_width = 0",
+             "-0.50732421875 -2.004913330078125 240 161", 0.5),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("engine", ["excursion", "collision", "synchronous"])
+@pytest.mark.parametrize(("table", "start", "mouth"), RUNNERS.values(), ids=RUNNERS.keys())
+def test_who_is_reflected_along_an_opening_passes_over_it(
+    tmp_path: Path, table: str, start: str, mouth: float, engine: str
+) -> None:
+    """In the channel it would run from wall to wall for ever, and a gate would count it."""
+    (tmp_path / "s.txt").write_text(f"{start}\n")
+    (tmp_path / "o.nml").write_text(
+        f"&table {table} /\n&particles number = 1, initial_file = 's.txt' /\n"
+        f"&gate threshold = 1 /\n&run duration = 9, engine = '{engine}' /\n"
+        "&output file = 'o.h5', final_state = T, event_log = T /\n"
+    )
+    ended = run("o.nml", folder=tmp_path)
+    assert ended.returncode == 0, ended.stderr
+    with h5py.File(tmp_path / "o.h5") as file:
+        assert abs(abs(file["final/x"][0, 0, 0]) - mouth) > 0.1
+        assert file["events/kind"].size == 0
+
+
 @pytest.mark.parametrize("engine", ["excursion", "collision", "synchronous"])
 def test_from_corner_to_corner_nobody_flies_outside(tmp_path: Path, engine: str) -> None:
     """Turned by a sharp corner along the line that joins it to another one, over a notch."""

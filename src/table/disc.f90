@@ -15,7 +15,7 @@ module battery_disc
   use battery_channel, only: channel_type, channel1, channel2, no_opening => no_channel
   use battery_urn_shape, only: urn_shape_type, set_openings
   use battery_motion, only: meets_wall, meets_gate, meets_channel2, meets_nothing, slowest, &
-    wall_kind
+    least_across, wall_kind
   use battery_rotation, only: to_turn
   implicit none (type, external)
   private
@@ -313,11 +313,11 @@ contains
     next = meets_wall
     if (abs(py) >= merge(urn%half_width(channel1), urn%half_width(channel2), px > 0.0_wp)) return
     ! By rounding, the point may seem to lie just inside a corner though the velocity points
-    ! inwards.
-    if (px > 0.0_wp .and. ux > 0.0_wp) then
+    ! inwards, or along the chord.
+    if (px > 0.0_wp .and. ux > least_across) then
       next = meets_gate
       wait = min(max(urn%chord(channel1) - x, 0.0_wp)/max(ux, slowest), wait)
-    else if (px <= 0.0_wp .and. ux < 0.0_wp) then
+    else if (px <= 0.0_wp .and. ux < -least_across) then
       next = meets_channel2
       wait = min(max(x + urn%chord(channel2), 0.0_wp)/max(-ux, slowest), wait)
     end if

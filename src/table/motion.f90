@@ -3,7 +3,7 @@ module battery_motion
   use battery_kinds, only: wp, int8, int16
   implicit none (type, external)
   private
-  public :: motion_type, move_straight, slowest, outside, in_urn, in_gate, in_channel2
+  public :: motion_type, move_straight, slowest, least_across, outside, in_urn, in_gate, in_channel2
   public :: wall_kind, meets_nothing, meets_gate, meets_channel2, meets_urn, meets_line, &
     meets_channel_wall, meets_wall
 
@@ -23,6 +23,10 @@ module battery_motion
   !> A velocity component below this counts as 0: a division by it gives a huge number but does not
   !> overflow.
   real(wp), parameter :: slowest = sqrt(tiny(1.0_wp))
+
+  !> Who moves through an opening with a component across it that is not above this runs along it, up
+  !> to rounding, and does not enter the channel, in which it would never come to an end.
+  real(wp), parameter :: least_across = 64.0_wp*epsilon(1.0_wp)
 
   !> State of a particle at its last event.
   type :: motion_type

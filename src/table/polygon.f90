@@ -285,6 +285,8 @@ contains
       time = polygon%length_of(k)*((polygon%x(k) - x)*polygon%normal_x(k) &
         + (polygon%y(k) - y)*polygon%normal_y(k))/(after - before)
       if (abs(after - before) < polygon%tolerance) then
+        ! Who runs along an opening passes over it: within a channel it would never come to an end.
+        if (polygon%half_opening(k) > 0.0_wp) cycle
         first = ux*(polygon%x(k) - x) + uy*(polygon%y(k) - y)
         second = ux*(polygon%x(k + 1) - x) + uy*(polygon%y(k + 1) - y)
         time = min(max(time, min(first, second)), max(first, second))
