@@ -11,7 +11,6 @@ import threading
 import warnings
 from collections import deque
 from contextlib import contextmanager, suppress
-from mmap import ACCESS_READ, mmap
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
@@ -27,6 +26,12 @@ EXIT_CLOSED_PIPE = 141
 EXIT_INTERRUPTED = 130
 COMMAND = "battery-postproc"  # all commands as one, where the package is installed
 MARK = "written by battery-postproc"  # in each file that is written, by which it is known again
+# What is before the mark, by the first bytes of namelists, pictures, pages; of MP4 its second four.
+BEFORE_MARK = {
+    b"! ": b"! ", b"\x89PNG": b"Software\0", b"%PDF": b"/Creator (", b"<!": b'content="',
+    b"GIF8": b"!\xfe%c" % len(MARK), b"ftyp": b"",
+}  # fmt: skip
+MOST_READ = 2**20  # bytes at each end of a file, where the mark is
 
 
 # Asks the system for a signal when the parent, Python, ends, blocks none of them, and then replaces
@@ -164,15 +169,24 @@ def file_to_write(path: Path) -> Path:
     try:
         if path.is_dir():
             raise InputError(f"{path}: is a folder, not a file")
-        if path.is_file() and path.stat().st_size > 0:
-            with path.open("rb") as file, mmap(file.fileno(), 0, access=ACCESS_READ) as content:
-                # Results have it, too, in the namelist that they hold.
-                if content.find(MARK.encode()) < 0 or content[:4] == b"\x89HDF":
-                    told = "is not replaced; name another file, or remove it"
-                    raise InputError(f"{path}: is not {MARK}, and {told}")
+        if path.is_file() and path.stat().st_size > 0 and not _has_mark(path):
+            told = "is not replaced; name another file, or remove it"
+            raise InputError(f"{path}: is not {MARK}, and {told}")
     except OSError as problem:
         raise InputError(f"cannot write {path}: {problem.strerror}") from problem
     return path
+
+
+def _has_mark(path: Path) -> bool:
+    """Return whether a file has the mark where this package writes it in files of its kind."""
+    with path.open("rb") as file:
+        content = file.read(MOST_READ)
+        file.seek(-min(path.stat().st_size, MOST_READ), os.SEEK_END)
+        content += file.read()
+    for first, before in BEFORE_MARK.items():
+        if content.startswith(first) or content[4:8] == first:
+            return before + MARK.encode() in content
+    return False
 
 
 @contextmanager

@@ -206,8 +206,8 @@ RUNNERS = {
     "gate": ("urn_shape = 'polygon', channel1_width = 1.3, channel2_width = 1.3, urn_vertices = "
              "1,-1.3, 1,1.3, 0,3.175, -3,3.175, -3,-3.175, 0,-3.175",
              "-0.5259515570934256 -1.317409169550173 0.8304498269896193 0.5570934256055363", 0.5),
-    "channel2": ("urn_shape = 'polygon', channel1_width = 0.5, channel2_width = 1.3, urn_vertices = "
-                 "3,-3.175, 3,3.175, 0,3.175, -1,1.3, -1,-1.3, 0,-3.175",
+    "channel2": ("urn_shape = 'polygon', channel1_width = 0.5, channel2_width = 1.3, "
+                 "urn_vertices = 3,-3.175, 3,3.175, 0,3.175, -1,1.3, -1,-1.3, 0,-3.175",
                  "-4.474048442906574 1.317409169550173 -0.8304498269896193 -0.5570934256055363",
                  4.5),
     "disc": ("urn_radius = 4.25, channel1_width = 4, channel2_width = 0",

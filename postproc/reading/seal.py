@@ -8,7 +8,6 @@ it cuts it off when a program opens the file for writing.
 from __future__ import annotations
 
 import hashlib
-import mmap
 import os
 import re
 import warnings
@@ -89,8 +88,13 @@ def _has_mark(file: BinaryIO, first: bytes) -> bool:
     """Return whether a file is HDF5 and has the mark; programs that write it anew may move it."""
     if not first.startswith(b"\x89HDF") or MARK in first:
         return first.startswith(b"\x89HDF")
-    with mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as content:
-        return content.find(MARK) >= 0
+    file.seek(0)
+    before = b""
+    while piece := file.read(PIECE):
+        if MARK in before + piece:
+            return True
+        before = piece[-len(MARK) :]
+    return False
 
 
 def _digest_in(behind: bytes) -> str:

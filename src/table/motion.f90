@@ -24,8 +24,8 @@ module battery_motion
   !> overflow.
   real(wp), parameter :: slowest = sqrt(tiny(1.0_wp))
 
-  !> Who moves through an opening with a component across it that is not above this runs along it, up
-  !> to rounding, and does not enter the channel, in which it would never come to an end.
+  !> Who moves through an opening with a component across it not above this runs along it, up to
+  !> rounding, and does not enter the channel, in which it would never come to an end.
   real(wp), parameter :: least_across = 64.0_wp*epsilon(1.0_wp)
 
   !> State of a particle at its last event.

@@ -183,7 +183,7 @@ def run(program: Path, counted: Path, output: Path, console: Console) -> None:
     """Run all benchmarks, print and write the results."""
     if not program.exists():
         raise cli.InputError(f"{program}: no such program (make bench builds it)")
-    cli.output_folder(cli.file_to_write(output, "JSON file").parent)
+    cli.output_folder(output.parent)
     console.print(f"processor: {processor()}", highlight=False)
     console.print("Medians of rounds in which the rows of a table run in turn; +- half of least to "
                   "most.")  # fmt: skip
