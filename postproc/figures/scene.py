@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 
 GATE_TINT = "#E8E8E8"
 ROUNDING = 1e-9  # of a place on a wall
+SLOWEST = 1e-12  # |ux| below this times l/r counts as 0 in a channel
 
 
 def ways(circuit: Circuit) -> list[tuple[float, Circuit]]:
@@ -69,10 +70,14 @@ def _arcs(side: Circuit, half1: float, half2: float) -> outlines.Outline:
 
 
 def counted_by(circuit: Circuit, snapshot: Snapshot) -> NDArray[np.int_]:
-    """Return the gate that counts each particle: in it, moving to the other; 0 for none."""
+    """Return the gate that counts each particle: in it, moving to the other; 0 for none.
+
+    Who moves across the channel, up to rounding, never gets through and is not counted.
+    """
     counted = np.abs(snapshot.x) <= 0.5 * circuit.channel1_length
     if circuit.outline is not None:  # an urn may reach over the channel
         counted &= np.abs(snapshot.y) <= 0.5 * circuit.channel1_width * (1.0 + ROUNDING)
+    counted &= np.abs(snapshot.ux) > SLOWEST * circuit.channel1_length / circuit.urn_radius
     left = snapshot.x < 0.0
     counted &= np.where(left, snapshot.ux > 0.0, snapshot.ux < 0.0)
     return np.where(counted, np.where(left, 1, 2), 0)

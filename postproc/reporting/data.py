@@ -224,10 +224,10 @@ def thinned_series(points: xr.Dataset) -> tuple[Floats, Columns]:
                       for find in (mass_spread_of, polarised_current_of))  # fmt: skip
         if points.attrs.get("shape") == "urn":
             flows = (one["flow1_12"] - one["flow1_21"]).values
-        past = np.minimum(np.searchsorted(own, time[chosen], side="left"), own.size - 1)
+        past = np.searchsorted(own, time[chosen], side="right")  # entries so far; 0: the start
         reached = time[chosen] <= own[-1]
-        spread[task] = np.where(reached, chi[1:][past], np.nan)
-        current[task] = np.where(reached, _block_means(flows, past), np.nan)
+        spread[task] = np.where(reached, chi[past], np.nan)
+        current[task] = np.where(reached, _block_means(flows, np.maximum(past - 1, 0)), np.nan)
     return rounded(time[chosen]), {"spread": spread.ravel(), "current": current.ravel()}
 
 

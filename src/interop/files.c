@@ -258,6 +258,14 @@ int battery_write_all(int descriptor, const char *bytes, size_t length) {
   return 0;
 }
 
+/* Puts /dev/null in the place of the file of a descriptor, whose own close cannot fail then. */
+void battery_replace_descriptor(const int *descriptor) {
+  int null = open("/dev/null", O_RDONLY | O_CLOEXEC);
+  if (null < 0) return;
+  dup2(null, *descriptor);
+  close(null);
+}
+
 /* Writes a whole file, which is emptied first unless it is standard output, to which is appended. */
 int battery_write_file(const char *path, const char *bytes, size_t length) {
   int shared = battery_is_standard_output(path);

@@ -122,6 +122,13 @@ module battery_hdf5_file
       type(c_ptr), intent(out) :: handle
     end function get_handle
 
+    !> Puts /dev/null in the place of a file; its descriptor stays open.
+    subroutine replace_descriptor(descriptor) bind(c, name='battery_replace_descriptor')
+      import :: c_ptr
+      implicit none (type, external)
+      type(c_ptr), value, intent(in) :: descriptor
+    end subroutine replace_descriptor
+
     integer(c_int) function set_scale(dataset, name) bind(c, name='H5DSset_scale')
       import :: c_char, c_int, c_int64_t
       implicit none (type, external)
@@ -236,11 +243,23 @@ contains
         call write_with_footer(file%name, image, error)
       end if
     end if
+    if (.not. file%is_new) call detach(file)
     call release_handle(file%id, status)
     file%id = no_handle
     if (status /= 0 .and. .not. allocated(error)) &
       call fatal_error(error, file%name//': cannot be closed')
   end subroutine close_file
+
+  !> Closes the descriptor of a file that was read, and puts another in its place. HDF5 1.10 crashes at
+  !> the end of the program if the system cannot close it, as on a disk that has gone away.
+  subroutine detach(file)
+    class(hdf5_file_type), intent(in) :: file
+    type(c_ptr) :: handle
+
+    handle = c_null_ptr
+    if (get_handle(int(file%id, c_int64_t), int(h5p_default_f, c_int64_t), handle) == 0 .and. &
+      c_associated(handle)) call replace_descriptor(handle)
+  end subroutine detach
 
   !> Closes a handle of any kind, if it is open; `status` becomes nonzero if that fails.
   subroutine release_handle(handle, status)
