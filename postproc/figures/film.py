@@ -134,24 +134,31 @@ class Stage:
         scenes = self.scenes
         total = scenes.snapshots[0].x.size
         times = scenes.times
-        chi = [abs(total - 2 * np.count_nonzero(one.x < 0.0)) / total for one in scenes.snapshots]
-        shown = [times[0], times[-1]]
+        alone = scenes.circuit.shape == "urn"  # which has no chi
+        if alone:
+            drawn = [np.count_nonzero(counted_by(scenes.circuit, one)) for one in scenes.snapshots]
+        else:
+            drawn = [abs(total - 2 * np.count_nonzero(one.x < 0.0)) / total
+                     for one in scenes.snapshots]  # fmt: skip
+        shown, channel = [times[0], times[-1]], 1 if alone else 2
         if scenes.series is not None:
             inside = scenes.series.sel(time=slice(times[0], times[-1]))
             if inside.sizes["time"] > 2:
-                chi = np.abs(total - 2.0 * inside["urn1_number"].values) / total
-                times = inside["time"].values
-                net = (inside["flow2_12"] - inside["flow2_21"]).values
+                if not alone:
+                    drawn = np.abs(total - 2.0 * inside["urn1_number"].values) / total
+                    times = inside["time"].values
+                net = (inside[f"flow{channel}_12"] - inside[f"flow{channel}_21"]).values
                 middle, mean, _ = binned(inside["middle"].values, net, 40)
                 right = below.twinx()
                 mean = mean * (np.sign(net[net.size // 2 :].mean()) or 1.0)
                 right.plot(middle, mean, color=style.ORANGE, lw=0.9)
-                right.set_ylabel("net current 2\n(per unit time)", color=style.ORANGE)
+                right.set_ylabel(f"net current {channel}\n(per unit time)", color=style.ORANGE)
                 most = max(float(mean.max()), 1e-9)
                 right.set_ylim(min(0.0, 1.1 * float(mean.min())), 1.1 * most)
-        below.plot(times, chi, color=style.BLUE, lw=1.1)
-        below.set_ylabel(r"mass spread $\chi$", color=style.BLUE)
-        below.set_ylim(0.0, 1.02)
+        below.plot(times, drawn, color=style.BLUE, lw=1.1)
+        label = "counted\nby the gate" if alone else r"mass spread $\chi$"
+        below.set_ylabel(label, color=style.BLUE)
+        below.set_ylim(0.0, 1.02 * max(drawn, default=1) or 1.0 if alone else 1.02)
         below.set_xlim(*shown)
         below.set_xlabel("time $t$  (length / $v$)")
 
@@ -169,9 +176,10 @@ class Stage:
             fade = 1.0 - float(ago.min(initial=np.inf)) / flash_time
             flash.set_alpha(0.6 * max(fade, 0.0))
         first = int(np.count_nonzero(snapshot.x < 0.0))
+        numbers = f"    $N_1 = {first}$    $N_2 = {snapshot.x.size - first}$"
         self.title.set_text(
-            f"$t = {time:.2f}$    $T = {scenes.circuit.thresholds}$    "
-            f"$N_1 = {first}$    $N_2 = {snapshot.x.size - first}$"
+            f"$t = {time:.2f}$    $T = {scenes.circuit.thresholds}$"
+            + numbers * (scenes.circuit.shape == "circuit")
         )
         self.now.set_xdata([time, time])
         canvas = self.figure.canvas

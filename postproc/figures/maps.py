@@ -11,7 +11,15 @@ from matplotlib.ticker import MaxNLocator
 
 from postproc import cli
 from postproc.figures import style
-from postproc.reading.points import files_of, groups, keys_of, means, need_only
+from postproc.reading.points import (
+    FRACTIONS,
+    PARAMETERS,
+    files_of,
+    groups,
+    keys_of,
+    means,
+    need_only,
+)
 from postproc.theory.models import defaults
 
 if TYPE_CHECKING:
@@ -88,8 +96,13 @@ def map_of(points: xr.Dataset, keys: Keys, values: Sequence[object] | Floats) ->
     try:
         return pd.Series(values, [up, across]).unstack()
     except ValueError as problem:  # duplicates
-        message = "two points have the same T, w' and start: a map shows one"
-        raise cli.InputError(message) from problem
+        names = (*FRACTIONS.values(), *PARAMETERS)
+        others = [name for name in names if name not in keys and name in points
+                  and np.unique(points[name]).size > 1]  # fmt: skip
+        raise cli.InputError(
+            f"{files_of(points)}: two points have the same {', '.join(keys)} and chi(0), a map "
+            f"shows one: choose, --select {(others or ['KEY'])[0]}=VALUE"
+        ) from problem
 
 
 def places(points: xr.Dataset, key: str) -> Floats:

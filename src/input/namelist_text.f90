@@ -44,6 +44,8 @@ module battery_namelist_text
     !> groups.
     character(len=:), allocatable :: group
     integer :: group_line = 0
+    !> The last key of which a part was given, which is one problem however many parts there are.
+    character(len=:), allocatable :: key_in_parts
     !> Values of the key that is being read.
     type(value_type), allocatable :: values(:)
   end type reader_type
@@ -63,6 +65,7 @@ contains
 
     reader%text = text
     reader%at = text_start(text)
+    reader%key_in_parts = ''
     allocate (reader%values(most_values))
   end function reader_of
 
@@ -174,11 +177,15 @@ contains
       call add_finding(problems, finding_of(line, name//': = is missing'))
       call skip_entries(reader)
     end if
-    if (problems%count == before .and. last_index /= any_index .and. &
-      last_index /= size(entry%values)) call add_finding(problems, finding_of(line, &
-      name//': parts of a key cannot be set', 'the whole list, '//displayable_text(key) &
-      //' = 1, 2, ... or '//displayable_text(key)//'(1:2) = 1, 2'))
     entry%refused = problems%count > before
+    if (last_index /= any_index .and. last_index /= size(entry%values) .and. &
+      .not. entry%refused) then
+      entry%refused = .true.
+      if (key /= reader%key_in_parts) call add_finding(problems, finding_of(line, name &
+        //': parts of a key cannot be set', 'the whole list, '//displayable_text(key) &
+        //' = 1, 2, ... or '//displayable_text(key)//'(1:2) = 1, 2'))
+      reader%key_in_parts = key
+    end if
     entry%group = reader%group
     entry%key = key
     entry%line = line

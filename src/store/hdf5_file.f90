@@ -250,8 +250,8 @@ contains
       call fatal_error(error, file%name//': cannot be closed')
   end subroutine close_file
 
-  !> Closes the descriptor of a file that was read, and puts another in its place. HDF5 1.10 crashes at
-  !> the end of the program if the system cannot close it, as on a disk that has gone away.
+  !> Puts another file in the place of one that was read. HDF5 1.10 crashes at the end of the
+  !> program if the system cannot close a file, as on a disk that has gone away.
   subroutine detach(file)
     class(hdf5_file_type), intent(in) :: file
     type(c_ptr) :: handle
