@@ -63,13 +63,15 @@ def test_no_whole_file(
     ("words", "written"), [(["plot", "scene"], "run_scene.png"), (["report"], "run.html")]
 )
 @pytest.mark.parametrize(
-    "before", [b"", b"! mine\n&particles number = 3 /\n", b"\x89PNG mine", b"<!DOCTYPE html>mine"]
-)
+    "before",
+    [b"", b"! mine, not written by battery-postproc\n", b"\x89PNG mine", b"<!DOCTYPE html>mine",
+     b"\x89PNG after one written by battery-postproc", b"<p>written by battery-postproc</p>"],
+)  # fmt: skip
 def test_no_file_of_someone_else_is_replaced(
     files: Path, tmp_path: Path, words: list[str], written: str, before: bytes,
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch,
 ) -> None:  # fmt: skip
-    """Results (b"") are not, nor a picture or page of other programs; its own are."""
+    """Results (b"") are not, nor a picture or page that quotes the mark; its own are."""
     monkeypatch.chdir(tmp_path)
     Path("run.h5").write_bytes((files / "whole.h5").read_bytes())
     there = before or Path("run.h5").read_bytes()

@@ -381,10 +381,10 @@ def test_error_of_replicas_covers_their_spread() -> None:
 
 def test_counted_are_those_in_a_gate_heading_for_the_other() -> None:
     table = Circuit(1000, 7)
-    x = np.array([-0.4, -0.4, 0.3, 0.3, -0.1, -0.9, 2.9])
-    ux = np.array([1.0, -1.0, -1.0, 1.0, 0.5, 1.0, -1.0])
-    snapshot = Snapshot(0.0, x, np.zeros(7), ux, np.sqrt(1 - ux**2))
-    assert scene.counted_by(table, snapshot).tolist() == [1, 0, 2, 0, 1, 0, 0]
+    x = np.array([-0.4, -0.4, 0.3, 0.3, -0.1, -0.9, 2.9, -0.2])
+    ux = np.array([1.0, -1.0, -1.0, 1.0, 0.5, 1.0, -1.0, np.cos(np.pi / 2)])
+    snapshot = Snapshot(0.0, x, np.zeros(8), ux, np.sqrt(1 - ux**2))
+    assert scene.counted_by(table, snapshot).tolist() == [1, 0, 2, 0, 1, 0, 0, 0]
     assert scene.next_gate(table, snapshot) == 1
 
 

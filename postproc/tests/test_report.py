@@ -21,7 +21,7 @@ import postproc
 from postproc.cli import InputError
 from postproc.figures import film
 from postproc.figures.circuits import polarised_current_of
-from postproc.reading.groups import Snapshot, series_of
+from postproc.reading.groups import Snapshot, each_series, series_of
 from postproc.reading.points import by_point, means, remark
 from postproc.reporting import data, report, warn
 from postproc.reporting.page import Page
@@ -116,6 +116,23 @@ def test_columns_say_what_the_file_says(run_file: Path) -> None:
         False, True
     ]  # fmt: skip
     assert scan_of(results, 3) == {"threshold": 8, "channel2_width": 0.05, "replicas": 2}
+
+
+def test_series_of_merged_runs_with_other_intervals_keep_their_times(tmp_path: Path) -> None:
+    """Between two entries of a series chi is that of the one before."""
+    for name, interval in (("fine", 3.0), ("coarse", 10.0)):
+        results_of(tmp_path / f"{name}.h5", particles={"number": 40, "seed": int(interval)},
+                   run={"duration": 30.0}, scan={"replicas": 1},
+                   output={**BARE, "series_interval": interval})  # fmt: skip
+    files = [tmp_path / "fine.h5", tmp_path / "coarse.h5"]
+    points = points_of(*files)
+    time, columns = data.thinned_series(points)
+    assert time.tolist() == [3.0 * at for at in range(1, 11)]
+    drawn = columns["spread"].reshape(2, time.size)
+    coarse = next(series for _, series in each_series(points) if series["time"].size == 3)
+    at = int(coarse["replica"])
+    later = [float(coarse["chi"].sel(time=when - when % 10.0)) for when in time[3:]]
+    assert drawn[at].tolist() == pytest.approx([0.0] * 3 + later)
 
 
 def scan_of(points: xr.Dataset, at: int) -> dict[str, object]:
