@@ -201,15 +201,20 @@ def test_who_begins_at_the_end_or_along_an_opening_is_where_it_is(
     assert places["excursion"] == pytest.approx(places["collision"], abs=1e-9)
 
 
+SLANTED = (
+    "urn_shape = 'polygon', channel1_width = 1.3, channel2_width = 1.3, urn_vertices = "
+    "1,-1.3, 1,1.3, 0,3.175, -3,3.175, -3,-3.175, 0,-3.175"
+)
 RUNNERS = {
     # A side below or above sends the particle along the opening of channel 1 or of channel 2.
-    "gate": ("urn_shape = 'polygon', channel1_width = 1.3, channel2_width = 1.3, urn_vertices = "
-             "1,-1.3, 1,1.3, 0,3.175, -3,3.175, -3,-3.175, 0,-3.175",
+    "gate": (SLANTED,
              "-0.5259515570934256 -1.317409169550173 0.8304498269896193 0.5570934256055363", 0.5),
     "channel2": ("urn_shape = 'polygon', channel1_width = 0.5, channel2_width = 1.3, "
                  "urn_vertices = 3,-3.175, 3,3.175, 0,3.175, -1,1.3, -1,-1.3, 0,-3.175",
                  "-4.474048442906574 1.317409169550173 -0.8304498269896193 -0.5570934256055363",
                  4.5),
+    "gate, from beside it": (SLANTED, "-0.5000000000000001 0.37 2.2e-17 1", 0.5),
+    "gate, from its line": (SLANTED, "-0.5 0.37 2.2e-17 1", 0.5),
     "disc": ("urn_radius = 4.25, channel1_width = 4, channel2_width = 0",
              "-0.50732421875 -2.004913330078125 240 161", 0.5),
 }  # fmt: skip

@@ -8,7 +8,7 @@
 !> which is exact.
 module battery_engine
   use battery_kinds, only: wp, int64
-  use battery_table, only: table_type, passage_type, passage_at
+  use battery_table, only: table_type, passage_type, passage_at, chamber_at, no_channel, in_urn
   use battery_gate, only: gate_type, new_gate, clear_new_entries, rebase_gate, serialize_gate
   use battery_event_record, only: event_record_type
   use battery_archive, only: archive_type
@@ -131,7 +131,9 @@ contains
 
     do i = 1, size(particles%x)
       passage = passage_at(table, particles%x(i), particles%y(i), particles%ux(i), particles%uy(i))
-      if (passage%trapped) particles%ux(i) = 0.0_wp
+      ! Nor does one that is on a chord and runs along it enter the channel.
+      if (passage%trapped .or. (passage%channel == no_channel .and. chamber_at(table, &
+        particles%x(i), particles%y(i), huge(1.0_wp)) /= in_urn)) particles%ux(i) = 0.0_wp
     end do
     call set_up_engine(self, table, threshold, size(particles%x))
     self%clock_start = clock

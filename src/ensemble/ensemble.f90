@@ -15,7 +15,8 @@ module battery_ensemble
   use battery_merge, only: merge_results, sources_type, close_sources
   use battery_lock_file, only: lock_type, acquire_lock, release_lock, check_lock
   use battery_plan, only: plan_type
-  use battery_startup, only: find_pending_tasks, find_further_tasks, check_protected
+  use battery_startup, only: find_pending_tasks, find_further_tasks, &
+    check_writable, forgive_if_complete
   use battery_results, only: results_type, all_tasks_complete
   use battery_signals, only: request_stop_after, signal_received
   use battery_summary, only: print_summary, stopped_text
@@ -45,14 +46,19 @@ contains
     integer(int64) :: collisions
     integer(int64), allocatable :: shared(:)
     character(len=20) :: start_date
-    logical :: complete, goes_on
+    logical :: complete, unwritable, goes_on
 
     exit_code = exit_failure
     complete = .false.
     if (communicator%rank == 0) then
-      call check_protected(plan, overwrite, quiet, complete, error)
-      if (.not. (complete .or. allocated(error))) call acquire_lock(lock, plan%file, error, &
-        hint=launcher_hint(communicator))
+      call check_writable(plan, error)
+      unwritable = allocated(error)
+      if (.not. unwritable) then
+        call acquire_lock(lock, plan%file, error, hint=launcher_hint(communicator))
+        ! Not if another run has it.
+        if (allocated(error)) unwritable = error%code == exit_failure
+      end if
+      if (unwritable .and. .not. overwrite) call forgive_if_complete(plan, quiet, complete, error)
     end if
     ! Rank 0 may have waited for the end of another run.
     call sleep_until_all(communicator)

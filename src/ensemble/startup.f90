@@ -28,7 +28,7 @@ module battery_startup
   implicit none (type, external)
   private
   public :: find_pending_tasks, find_further_tasks, progress_type, inspect_output, set_pending
-  public :: further_text, accept_output, check_protected, check_writable
+  public :: further_text, accept_output, forgive_if_complete, check_writable
   public :: write_partial_results
 
   character(len=*), parameter :: discard_text = &
@@ -216,33 +216,30 @@ contains
       //further_text(progress)
   end subroutine inspect_output
 
-  !> Checks whether an output that cannot be written is complete, as protected results are: then
-  !> nothing is to be done, and the lock, which is a file, is not needed.
-  subroutine check_protected(plan, overwrite, quiet, complete, error)
+  !> Forgives that an output cannot be written, or has no place for a lock, if it is complete, as
+  !> protected results are: then nothing is to be done.
+  subroutine forgive_if_complete(plan, quiet, complete, error)
     type(plan_type), intent(in) :: plan
-    !> Whether to discard existing results; whether to print nothing.
-    logical, intent(in) :: overwrite, quiet
-    !> Whether the output cannot be written and is complete.
+    !> Whether to print nothing.
+    logical, intent(in) :: quiet
     logical, intent(out) :: complete
-    !> It cannot be written and is not complete; code `exit_bad_input`.
-    type(error_type), allocatable, intent(out) :: error
+    !> Why it cannot be written; deallocated if it is complete. That of existing files comes first.
+    type(error_type), allocatable, intent(inout) :: error
     type(sources_type) :: sources
     type(progress_type) :: progress
     character(len=:), allocatable :: message
-    type(error_type), allocatable :: unwritable
+    type(error_type), allocatable :: other
 
-    complete = .false.
-    call check_writable(plan, unwritable)
-    if (.not. allocated(unwritable)) return
-    if (overwrite) then
-      call move_alloc(unwritable, error)
-      return
-    end if
-    call inspect_output(plan, sources, progress, message, error)
+    call inspect_output(plan, sources, progress, message, other)
     call close_sources(sources)
-    complete = progress%complete .and. .not. allocated(error)
-    if (complete .and. .not. quiet) call print_line(message)
-  end subroutine check_protected
+    complete = progress%complete .and. .not. allocated(other)
+    if (complete) then
+      deallocate (error)
+      if (.not. quiet) call print_line(message)
+    else if (allocated(other)) then
+      call move_alloc(other, error)
+    end if
+  end subroutine forgive_if_complete
 
   !> An error if the results file of a plan cannot be written.
   subroutine check_writable(plan, error)

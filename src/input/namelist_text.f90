@@ -200,7 +200,7 @@ contains
     character(len=:), allocatable :: index_text
     integer :: length, at
 
-    length = scan(reader%text(reader%at:reader%at + line_length(reader) - 1), '=') - 1
+    length = scan(reader%text(reader%at:reader%at + line_length(reader) - 1), '=/') - 1
     if (length < 0) length = line_length(reader)
     associate (written => reader%text(reader%at:reader%at + length - 1))
       allocate (character(len=0) :: index_text)
@@ -312,7 +312,7 @@ contains
       call read_quoted(reader, value%text, problem)
     else if (word == '') then
       problem = 'a value was expected at: '//rest_of_line(reader)
-      if (.not. at_end(reader)) reader%at = reader%at + 1
+      call skip_entries(reader)
     end if
     if (repeats == 0) problem = 'a value is repeated 0 times'
   end subroutine read_value
@@ -360,7 +360,10 @@ contains
     ahead%text = reader%text(reader%at:min(len(reader%text), reader%at + 1000))
     call read_before(ahead, verify(ahead%text(ahead%at:), name_signs), name)
     call skip_blanks(ahead, .false.)
-    follows = next_sign(ahead) == '=' .or. next_sign(ahead) == '(' .or. next_sign(ahead) == '%'
+    follows = next_sign(ahead) == '='
+    ! A value such as range(1, 9) is no key.
+    if (scan(next_sign(ahead), '(%') == 1) follows = scan(ahead%text(ahead%at:ahead%at &
+      + line_length(ahead) - 1), '=') > 0
   end function key_follows
 
   !> Skips blanks, line ends and comments, and commas if `commas`.

@@ -91,7 +91,7 @@ contains
       place = meant_key(settings%all%key, entry)
       if (.not. entry%refused) call refuse_key(settings%all%key, entry, place, settings%problems)
     else if (settings%all(place)%given) then
-      call refuse_entry(entry, 'is given again', 'once (line ' &
+      if (.not. entry%refused) call refuse_entry(entry, 'is given again', 'once (line ' &
         //to_text(settings%all(place)%line)//')', settings%problems)
     else if (.not. entry%refused) then
       call set_from_entry(entry, settings%all(place), settings%problems)

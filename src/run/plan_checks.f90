@@ -320,6 +320,8 @@ contains
       call refuse_value(plan, 'urn1_number', to_text(point%urn1_number), &
         to_text(point%number)//', all particles, since the shape ''urn'' has one urn')
     end if
+    ! Refused widths and lengths have no values here.
+    if (any(plan%settings%all%given .and. .not. plan%settings%all%known)) return
     if (.not. can_count_hits(table_of(plan, point), point%number, plan%duration)) &
       call refuse_value(plan, 'number', to_text(point%number), &
       'fewer, or wider openings: such visits have more wall collisions than can be counted')

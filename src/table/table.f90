@@ -17,7 +17,7 @@ module battery_table
     no_channel, facing
   use battery_urn_shape, only: mean_urn_passage
   use battery_corners, only: is_rational_polygon
-  use battery_motion, only: outside, in_urn, in_gate, in_channel2
+  use battery_motion, only: outside, in_urn, in_gate, in_channel2, least_across
   use battery_scatterers, only: scattered_half_channel_type, new_scattered_half_channel, &
     is_in_scatterer, measure_scatterers
   use battery_urn, only: urn_type, shape_polygon, derive_shape, are_mirror_images, contains_point, &
@@ -273,8 +273,9 @@ contains
     real(wp), intent(in) :: x, y, ux
 
     associate (urn => table%urn(urn_at(table, x)))
-      yes = x*ux < 0.0_wp .and. abs(x) > urn%channel_start(channel1) .and. nearest(abs(x), &
-        -1.0_wp) <= urn%channel_start(channel1) .and. abs(y) <= urn%half_width(channel1)
+      yes = x*ux < 0.0_wp .and. abs(ux) > least_across .and. abs(x) > urn%channel_start(channel1) &
+        .and. nearest(abs(x), -1.0_wp) <= urn%channel_start(channel1) .and. abs(y) &
+        <= urn%half_width(channel1)
     end associate
   end function enters_at_once
 
@@ -363,8 +364,8 @@ contains
       passage%trapped = .not. abs(ux)*min(longest_passage*urn%reach, &
         most_hits*channel%width) > channel%length
       if (passage%trapped) then
-        ! Who moves along the chord, and not away from it, is in the urn.
-        if (depth > 0.0_wp .or. outward > 0.0_wp) return
+        ! Who moves along the chord is in the urn.
+        if (depth > 0.0_wp .or. outward > least_across) return
         passage%trapped = .false.
         passage%chamber = in_urn
         passage%channel = no_channel
