@@ -214,9 +214,13 @@ RUNNERS = {
                  "-4.474048442906574 1.317409169550173 -0.8304498269896193 -0.5570934256055363",
                  4.5),
     "gate, from beside it": (SLANTED, "-0.5000000000000001 0.37 2.2e-17 1", 0.5),
+    "gate, from within it": (SLANTED, "-0.49999999999999956 0.1366 3e-16 1", 0.5),
     "gate, from its line": (SLANTED, "-0.5 0.37 2.2e-17 1", 0.5),
     "disc": ("urn_radius = 4.25, channel1_width = 4, channel2_width = 0",
              "-0.50732421875 -2.004913330078125 240 161", 0.5),
+    "disc, exactly": ("shape = 'urn', urn_radius = 0.8149801915519674, channel1_length = 2.25, "
+                      "channel1_width = 0.6269078396553596",
+                      "-1.8425110460593714 0.7526067856611007 28560 239", 1.125),
 }  # fmt: skip
 
 
@@ -229,7 +233,7 @@ def test_who_is_reflected_along_an_opening_passes_over_it(
     (tmp_path / "s.txt").write_text(f"{start}\n")
     (tmp_path / "o.nml").write_text(
         f"&table {table} /\n&particles number = 1, initial_file = 's.txt' /\n"
-        f"&gate threshold = 1 /\n&run duration = 9, engine = '{engine}' /\n"
+        f"&gate threshold = 1 /\n&run duration = 5, engine = '{engine}' /\n"
         "&output file = 'o.h5', final_state = T, event_log = T /\n"
     )
     ended = run("o.nml", folder=tmp_path)

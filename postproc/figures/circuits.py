@@ -194,7 +194,8 @@ def draw_relaxation(
         found, number = [], float(circuit.number)
         for series in series_of(points, at):
             time, values = quantity_of(series, number, number - starts[at])
-            found.append(binned(time[time <= end], values[time <= end], steps)[:2])
+            shown = time <= max(end, time[0])  # one entry at least
+            found.append(binned(time[shown], values[shown], steps)[:2])
         # Replicas of merged files may have other lengths and intervals.
         last = min(middle[-1] for middle, _ in found)
         latest = max(latest, last)

@@ -9,6 +9,7 @@
 module battery_disc_passages
   use battery_kinds, only: wp, int64, angle_kind
   use battery_channel, only: channel1, channel2
+  use battery_motion, only: least_across
   use battery_disc, only: urn_shape_type, recompute_grazing_incidence, grazing_cosine
   use battery_rotation, only: turn_of_vector, unit_vector, full_turn
   use battery_opening_search, only: find_opening
@@ -41,10 +42,6 @@ module battery_disc_passages
   !> An opening is nearly as wide as the urn if its chord is nearer to the centre than this, in
   !> units of the radius.
   real(wp), parameter :: near_centre = 0.1_wp
-
-  !> A velocity points out of an opening if its component along the channel is more than a rounding
-  !> error: a particle that moves along the chord reaches the corner.
-  real(wp), parameter :: least_u_axial = 4.0_wp*epsilon(1.0_wp)
 
 contains
 
@@ -100,7 +97,7 @@ contains
       visits%length, visits%through)
     if (.not. all_passages_end(visits%count, visits%u_axial, visits%impacts)) then
       do j = 1, visits%count
-        if (visits%u_axial(j) > least_u_axial .and. visits%impacts(j) >= 0.0_wp) cycle
+        if (visits%u_axial(j) > least_across .and. visits%impacts(j) >= 0.0_wp) cycle
         call repair_passage(urn, visits, j)
         if (any(visits%many_hits_index(:visits%many_hits_count) == j)) cycle
         visits%many_hits_count = visits%many_hits_count + 1
@@ -130,7 +127,7 @@ contains
 
     left = 0
     do j = 1, n
-      left = left + merge(1, 0, u_axial(j) > least_u_axial .and. impacts(j) >= 0.0_wp)
+      left = left + merge(1, 0, u_axial(j) > least_across .and. impacts(j) >= 0.0_wp)
     end do
     all_passages_end = left == n
   end function all_passages_end
@@ -488,7 +485,7 @@ contains
     zx = (visits%s(j) - visits%c(j))*(visits%s(j) + visits%c(j))
     zy = 2.0_wp*visits%s(j)*visits%c(j)
     do tries = 1, 4
-      if (visits%impacts(j) < 0.0_wp .or. visits%u_axial(j) > least_u_axial) exit
+      if (visits%impacts(j) < 0.0_wp .or. visits%u_axial(j) > least_across) exit
       x = visits%hit_x(j)*zx - visits%hit_y(j)*zy
       y = visits%hit_x(j)*zy + visits%hit_y(j)*zx
       call search_opening(urn, visits, j, x, y, zx, zy, visits%impacts(j) + 1.0_wp)
@@ -496,7 +493,7 @@ contains
         visits%impacts(j:j), visits%first(j:j), visits%channel(j:j), visits%x(j:j), visits%y(j:j), &
         visits%u_axial(j:j), visits%u_lateral(j:j), visits%length(j:j), visits%through(j:j))
     end do
-    if (visits%impacts(j) >= 0.0_wp .and. visits%u_axial(j) > least_u_axial) return
+    if (visits%impacts(j) >= 0.0_wp .and. visits%u_axial(j) > least_across) return
     if (visits%impacts(j) < 0.0_wp) visits%impacts(j) = -1.0_wp - visits%impacts(j)
     visits%channel(j) = no_channel
     visits%y(j) = atan2(visits%hit_y(j), visits%hit_x(j))

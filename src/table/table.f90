@@ -364,8 +364,8 @@ contains
       passage%trapped = .not. abs(ux)*min(longest_passage*urn%reach, &
         most_hits*channel%width) > channel%length
       if (passage%trapped) then
-        ! Who moves along the chord is in the urn.
-        if (depth > 0.0_wp .or. outward > least_across) return
+        ! Who moves along the chord is in the urn: there the end of a run may have put it.
+        if (depth > least_across*max(abs(x), urn%reach) .or. outward > least_across) return
         passage%trapped = .false.
         passage%chamber = in_urn
         passage%channel = no_channel
