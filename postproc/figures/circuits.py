@@ -129,9 +129,11 @@ def figure_relaxation(points: xr.Dataset, models: Sequence[Model] = ()) -> Figur
     """
     points = few_points(points)
     models = models or defaults(points["circuit"].values)
-    last = max(float(series["time"][-1]) for at in range(points.sizes["point"])
-               for series in series_of(points, at))  # fmt: skip
-    ends = [last] if last < 3.0 * EARLY else [EARLY, last]
+    times = [series["time"].values for at in range(points.sizes["point"])
+             for series in series_of(points, at)]  # fmt: skip
+    last = max(float(one[-1]) for one in times)
+    few = any(one[0] > 0.5 * EARLY for one in times)  # entries at early times
+    ends = [last] if last < 3.0 * EARLY or few else [EARLY, last]
     made = style.figure(style.PAGE if len(ends) > 1 else 4.6, 4.8)
     panels = made.subplots(2, len(ends), squeeze=False, sharex="col", sharey="row")
     for column, end in zip(panels.T, ends, strict=True):
@@ -194,8 +196,8 @@ def draw_relaxation(
         found, number = [], float(circuit.number)
         for series in series_of(points, at):
             time, values = quantity_of(series, number, number - starts[at])
-            shown = time <= max(end, time[0])  # one entry at least
-            found.append(binned(time[shown], values[shown], steps)[:2])
+            early = time <= max(end, time[0])  # one entry at least
+            found.append(binned(time[early], values[early], steps)[:2])
         # Replicas of merged files may have other lengths and intervals.
         last = min(middle[-1] for middle, _ in found)
         latest = max(latest, last)

@@ -43,7 +43,7 @@ from postproc.cli import MARK
 from postproc.figures import style
 from postproc.figures.scene import draw_table
 from postproc.figures.style import CYCLE
-from postproc.reading.points import of_files, with_tasks
+from postproc.reading.points import of_files, second_values, with_tasks
 from postproc.reporting import data
 from postproc.reporting.warn import explanations, warnings
 from postproc.theory.models import left_out
@@ -453,7 +453,7 @@ def _picture(circuit: Circuit) -> str:
 
 def _about(points: xr.Dataset) -> str:
     """Return what all points have in common: parameters, replicas, the length of runs."""
-    columns = {name: points[name].values for name in SHOWN}
+    columns = {name: points[name].values for name in SHOWN} | second_values(points)
     if points.attrs.get("shape") != "urn":
         columns["chi at the start"] = points["start"].values
     told = [f"{data.SYMBOLS.get(name, name)} = {values[0]:.5g}"

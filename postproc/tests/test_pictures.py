@@ -379,6 +379,15 @@ def test_error_of_replicas_covers_their_spread() -> None:
     assert (mean_error(values[:, :2])["error"] > 0.0).all()
 
 
+def test_long_intervals_have_no_panel_of_early_times(tmp_path: Path) -> None:
+    """None where no entry of the series is."""
+    path = results_of(tmp_path / "run.h5", particles={"number": 10}, run={"duration": 20000.0},
+                      gate={"threshold": 1}, scan={"threshold": None, "replicas": 1},
+                      output={**BARE, "series_interval": 7000.0})  # fmt: skip
+    made = circuits.figure_relaxation(points_of(path), theories.named(["window"]))
+    assert [axes.get_xlim()[1] for axes in made.axes] == [14000.0] * 2
+
+
 def test_counted_are_those_in_a_gate_heading_for_the_other() -> None:
     table = Circuit(1000, 7)
     x = np.array([-0.4, -0.4, 0.3, 0.3, -0.1, -0.9, 2.9, -0.2])
