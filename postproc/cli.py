@@ -26,9 +26,9 @@ EXIT_CLOSED_PIPE = 141
 EXIT_INTERRUPTED = 130
 COMMAND = "battery-postproc"  # all commands as one, where the package is installed
 MARK = "written by battery-postproc"  # in each file that is written, by which it is known again
-# What is before the mark, by the first bytes of namelists, pictures, pages; of MP4 its second four.
+# What is before the mark, by the first bytes of pictures and pages; of MP4 its second four.
 BEFORE_MARK = {
-    b"! ": b"! ", b"\x89PNG": b"Software\0", b"%PDF": b"/Creator (", b"<!": b'content="',
+    b"\x89PNG": b"Software\0", b"%PDF": b"/Creator (", b"<!": b'content="',
     b"GIF8": b"!\xfe%c" % len(MARK), b"ftyp": b"",
 }  # fmt: skip
 MOST_READ = 2**20  # bytes at each end of a file, where the mark is
@@ -183,6 +183,8 @@ def _has_mark(path: Path) -> bool:
         content = file.read(MOST_READ)
         file.seek(-min(path.stat().st_size, MOST_READ), os.SEEK_END)
         content += file.read()
+    if content.startswith(b"! "):  # a namelist, of which this is the first line
+        return content.startswith(f"! {MARK}\n".encode())
     for first, before in BEFORE_MARK.items():
         if content.startswith(first) or content[4:8] == first:
             return before + MARK.encode() in content

@@ -396,9 +396,14 @@ def _for_stdout(line: str) -> str:
 def _children_heard() -> Iterator[None]:
     """Let the exit codes of children be known where Python was started with SIGCHLD ignored."""
     before = signal.getsignal(signal.SIGCHLD)
-    if before is not signal.SIG_IGN or threading.current_thread() is not threading.main_thread():
+    if before is not signal.SIG_IGN:
         yield
         return
+    if threading.current_thread() is not threading.main_thread():
+        raise InputError(
+            "SIGCHLD is ignored, so that it cannot be known how a run has ended: in the main "
+            "thread, signal.signal(signal.SIGCHLD, signal.SIG_DFL)"
+        )
     signal.signal(signal.SIGCHLD, signal.SIG_DFL)
     try:
         yield

@@ -50,6 +50,8 @@ def sentence(given: Advice, quantity: str, tolerance: float) -> str:
         return given.reason
     chance = min(99.0, 100.0 * given.confidence)
     sure = f"{quantity} within {100.0 * tolerance:g} %, {chance:.0f} % sure"
+    if given.replicas == 0 and quantity == "transition":
+        return f"For {sure}, the theory {given.rung} is enough. {given.reason}"
     if given.replicas == 0:
         return f"For {sure}, ask battery-postproc theory --theory {given.rung}. {given.reason}"
     if given.cpu_seconds == 0.0:

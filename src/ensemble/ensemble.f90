@@ -14,7 +14,7 @@ module battery_ensemble
   use battery_launcher, only: check_output_folder, launcher_hint
   use battery_merge, only: merge_results, sources_type, close_sources
   use battery_lock_file, only: lock_type, acquire_lock, release_lock, check_lock
-  use battery_plan, only: plan_type
+  use battery_plan, only: plan_type, point_of
   use battery_startup, only: find_pending_tasks, find_further_tasks, &
     check_writable, forgive_if_complete
   use battery_results, only: results_type, all_tasks_complete
@@ -55,8 +55,7 @@ contains
       unwritable = allocated(error)
       if (.not. unwritable) then
         call acquire_lock(lock, plan%file, error, hint=launcher_hint(communicator))
-        ! Not if another run has it.
-        if (allocated(error)) unwritable = error%code == exit_failure
+        unwritable = lock%has_no_place
       end if
       if (unwritable .and. .not. overwrite) call forgive_if_complete(plan, quiet, complete, error)
     end if
@@ -170,12 +169,23 @@ contains
   !> Requests a stop early enough to end the run within `wall_minutes`.
   subroutine set_time_limit(plan)
     type(plan_type), intent(in) :: plan
-
+    !> Seconds that the end of a run may take for each particle: the window that is being computed,
+    !> and the state that is saved.
+    real(dp), parameter :: each = 3.0e-6_dp
     real(dp) :: seconds
+    integer :: at, largest
 
     seconds = 60.0_dp*real(plan%wall_minutes, dp)
-    ! Saving states and writing results takes time as well.
-    if (seconds > 0.0_dp) call request_stop_after(seconds - min(20.0_dp, 0.1_dp*seconds))
+    if (.not. seconds > 0.0_dp) return
+    largest = 0
+    do at = 1, plan%point_count
+      associate (point => point_of(plan, at))
+        largest = max(largest, point%number)
+      end associate
+    end do
+    ! Writing results takes time as well.
+    call request_stop_after(seconds - max(min(20.0_dp, 0.1_dp*seconds), min(each*largest, &
+      0.5_dp*seconds)))
   end subroutine set_time_limit
 
 end module battery_ensemble

@@ -323,7 +323,7 @@ contains
     character(len=:), allocatable, intent(out) :: text
     character(len=:), allocatable, intent(inout) :: problem
     character(len=1) :: quote
-    integer :: length
+    integer :: length, at
 
     quote = next_sign(reader)
     text = ''
@@ -338,6 +338,11 @@ contains
     end do
     text = text//reader%text(reader%at:reader%at + line_length(reader) - 1)
     call skip_line(reader)
+    ! The / at the end of the line is that of the group.
+    at = len_trim(text)
+    if (at > 0) then
+      if (text(at:at) == '/') reader%at = reader%at - (len(text) - at + 1)
+    end if
     problem = 'the quote that ends '//quote//displayable_text(text)//' is missing in its line'
   end subroutine read_quoted
 

@@ -25,8 +25,9 @@ module battery_motion
   real(wp), parameter :: slowest = sqrt(tiny(1.0_wp))
 
   !> Who moves through an opening with a component across it not above this runs along it, up to
-  !> rounding, and does not enter the channel, in which it would never come to an end.
-  real(wp), parameter :: least_across = 64.0_wp*epsilon(1.0_wp)
+  !> rounding (more of it in `synchronous`, where each event moves all particles): it does not enter
+  !> the channel, in which it would never come to an end.
+  real(wp), parameter :: least_across = 1.0e-12_wp
 
   !> State of a particle at its last event.
   type :: motion_type

@@ -17,7 +17,8 @@ module battery_polygon
   use battery_kinds, only: wp, int64
   use battery_channel, only: channel_type, channel1, channel2, no_channel, facing, is_open
   use battery_urn_shape, only: urn_shape_type, polygon_type, set_openings
-  use battery_motion, only: meets_gate, meets_channel2, meets_nothing, meets_wall, wall_kind
+  use battery_motion, only: meets_gate, meets_channel2, meets_nothing, meets_wall, wall_kind, &
+    least_across
   use battery_corners, only: enclosed_area, reversed_corners, next_corner, distance_to_side, &
     is_on_side, side_distance, side_on_axis
   implicit none (type, external)
@@ -284,9 +285,10 @@ contains
       end if
       time = polygon%length_of(k)*((polygon%x(k) - x)*polygon%normal_x(k) &
         + (polygon%y(k) - y)*polygon%normal_y(k))/(after - before)
+      ! Who runs along an opening passes over it: within a channel it would never come to an end.
+      if (polygon%half_opening(k) > 0.0_wp .and. abs(after - before) <= least_across &
+        *polygon%length_of(k)) cycle
       if (abs(after - before) < polygon%tolerance) then
-        ! Who runs along an opening passes over it: within a channel it would never come to an end.
-        if (polygon%half_opening(k) > 0.0_wp) cycle
         first = ux*(polygon%x(k) - x) + uy*(polygon%y(k) - y)
         second = ux*(polygon%x(k + 1) - x) + uy*(polygon%y(k + 1) - y)
         time = min(max(time, min(first, second)), max(first, second))
