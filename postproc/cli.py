@@ -28,8 +28,8 @@ COMMAND = "battery-postproc"  # all commands as one, where the package is instal
 MARK = "written by battery-postproc"  # in each file that is written, by which it is known again
 # What is before the mark, by the first bytes of pictures and pages; of MP4 its second four.
 BEFORE_MARK = {
-    b"\x89PNG": b"Software\0", b"%PDF": b"/Creator (", b"<!": b'content="',
-    b"GIF8": b"!\xfe%c" % len(MARK), b"ftyp": b"",
+    b"\x89PNG": b"Software\0", b"%PDF": b"/Creator (", b"<!": b'name="generator" content="',
+    b"GIF8": b"!\xfe%c" % len(MARK), b"ftyp": b"data\0\0\0\1\0\0\0\0",
 }  # fmt: skip
 MOST_READ = 2**20  # bytes at each end of a file, where the mark is
 

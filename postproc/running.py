@@ -272,7 +272,7 @@ def _answer(
     with _made_folder(place), _work_folder(place) as work:
         path, json_file = _namelist_file(namelist, battery, work), work / "answer.json"
         words = [*words, "--json", str(json_file), "--", str(path)]
-        with _children_heard():
+        with _exit_codes_known():
             code, output, errors = _launch([*start, str(battery), *words], place, quiet)
         if isinstance(namelist, Mapping):
             errors = errors.replace(str(path), "the namelist")
@@ -393,7 +393,7 @@ def _for_stdout(line: str) -> str:
 
 
 @contextmanager
-def _children_heard() -> Iterator[None]:
+def _exit_codes_known() -> Iterator[None]:
     """Let the exit codes of children be known where Python was started with SIGCHLD ignored."""
     before = signal.getsignal(signal.SIGCHLD)
     if before is not signal.SIG_IGN:

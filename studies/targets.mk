@@ -9,10 +9,10 @@ bench: build/bin/bench $(COMMANDS) ## the speed tables, JSON in build/bench; BAS
 	    exit 2
 	  }
 	  $(MAKE) build/base-$$commit/build/bin/bench
-	  exec $(PYTHON) -m studies.speed.study ratios build/base-$$commit/build/bin/bench
+	  exec $(PYTHON) -m studies.speed.study build/base-$$commit/build/bin/bench
 	fi
 	if command -v valgrind > /dev/null; then $(MAKE) build/x86-64-v3/bin/bench; fi
-	$(PYTHON) -m studies.speed.study run
+	$(PYTHON) -m studies.speed.study
 
 build/bin/bench: FORCE | libraries $(fpm) information
 	@export FPM_FFLAGS="$(RELEASE_FLAGS)" FPM_LDFLAGS="$(RELEASE_LINK)"

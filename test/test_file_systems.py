@@ -133,6 +133,18 @@ def test_results_that_hdf5_cannot_read_are_one_line(
     assert len(read.stderr.splitlines()) == 1
 
 
+def test_results_that_the_system_cannot_close_are_no_crash(lacking: str, tmp_path: Path) -> None:
+    """As on a disk that has gone away; HDF5 1.10 crashes if its close of a file fails."""
+    write_case(CASE, tmp_path, scan={"replicas": 2})
+    assert run("--quiet", "case.nml", folder=tmp_path).returncode == 0
+    write_case(CASE, tmp_path, scan={"replicas": 3})
+    for after in range(1, 5):
+        away = call_failing(lacking, "close", "out.h5", errno.ENOTCONN, after)
+        ended = run("--check", "case.nml", folder=tmp_path, environment=away)
+        assert ended.returncode in {0, 1, 2}
+        assert "SIGSEGV" not in ended.stderr
+
+
 def test_a_lock_file_that_cannot_be_looked_at_is_an_error(lacking: str, tmp_path: Path) -> None:
     """It is that of a run that is dead; the next one neither waits for ever nor takes it."""
     write_case(CASE, tmp_path, run={"duration": 1e12}, limits={"checkpoint_minutes": 0.001})

@@ -162,25 +162,32 @@ def test_folder_without_rights(tmp_path: Path) -> None:
 @pytest.mark.parametrize("folder_mode", [0o755, 0o555])
 def test_complete_results_may_be_protected(tmp_path: Path, folder_mode: int) -> None:
     """Complete results are said complete where nothing can be written; more is refused."""
-    folder = tmp_path / "kept"
+    folder, kept = tmp_path / "kept", tmp_path / "kept/out.h5"
     folder.mkdir()
     write(tmp_path, "case.nml", output={"file": "'kept/out.h5'"})
     write(tmp_path, "more.nml", scan={"replicas": 2}, output={"file": "'kept/out.h5'"})
     assert run("case.nml", folder=tmp_path).returncode == 0
-    kept = (folder / "out.h5").read_bytes()
-    (folder / "out.h5").chmod(0o444)
-    folder.chmod(folder_mode)
-    for words in (["case.nml"], ["--check", "case.nml"]):
+    whole = kept.read_bytes()
+    without_digest = whole[:-512]
+    for contents, words, code in (
+        (whole, ["case.nml"], 0), (whole, ["--check", "case.nml"], 0),
+        (whole, ["more.nml"], 2), (whole, ["--check", "more.nml"], 2),
+        (whole, ["--overwrite", "case.nml"], 2), (whole, ["--check", "--overwrite", "case.nml"], 2),
+        (without_digest, ["--accept", "case.nml"], 2),
+    ):  # fmt: skip
+        kept.chmod(0o644)
+        kept.write_bytes(contents)
+        kept.chmod(0o444)
+        folder.chmod(folder_mode)
         ended = run_without_rights(*words, folder=tmp_path)
-        assert (ended.returncode, ended.stderr) == (0, "")
-        assert ended.stdout.startswith("kept/out.h5 is complete")
-    for words in (["more.nml"], ["--overwrite", "case.nml"]):
-        for option in ([], ["--check"]):
-            ended = run_without_rights(*option, *words, folder=tmp_path)
-            assert ended.returncode == 2
-            assert re.fullmatch(r"kept/out.h5: the .* cannot be written to\n", ended.stderr)
+        folder.chmod(0o755)
+        assert ended.returncode == code
+        if code == 0:
+            assert ended.stdout.startswith("kept/out.h5 is complete")
+        else:
+            assert re.fullmatch(r"kept/out.h5.*: .*cannot be written.*\n", ended.stderr)
+        assert kept.read_bytes() == contents
     assert [path.name for path in folder.iterdir()] == ["out.h5"]
-    assert (folder / "out.h5").read_bytes() == kept
 
 
 @pytest.mark.parametrize("ranks", [0, 2])

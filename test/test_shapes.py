@@ -205,7 +205,7 @@ SLANTED = (
     "urn_shape = 'polygon', channel1_width = 1.3, channel2_width = 1.3, urn_vertices = "
     "1,-1.3, 1,1.3, 0,3.175, -3,3.175, -3,-3.175, 0,-3.175"
 )
-RUNNERS = {
+ALONG = {
     # A side below or above sends the particle along the opening of channel 1 or of channel 2.
     "gate": (SLANTED,
              "-0.5259515570934256 -1.317409169550173 0.8304498269896193 0.5570934256055363", 0.5),
@@ -216,6 +216,7 @@ RUNNERS = {
     "gate, from beside it": (SLANTED, "-0.5000000000000001 0.37 2.2e-17 1", 0.5),
     "gate, from within it": (SLANTED, "-0.49999999999999956 0.1366 3e-16 1", 0.5),
     "gate, from its line": (SLANTED, "-0.5 0.37 2.2e-17 1", 0.5),
+    "short gate": (f"{SLANTED}, channel1_length = 0.01", "-0.005 0.37 3e-14 1", 0.005),
     "disc": ("urn_radius = 4.25, channel1_width = 4, channel2_width = 0",
              "-0.50732421875 -2.004913330078125 240 161", 0.5),
     "disc, exactly": ("shape = 'urn', urn_radius = 0.8149801915519674, channel1_length = 2.25, "
@@ -225,9 +226,9 @@ RUNNERS = {
 
 
 @pytest.mark.parametrize("engine", ["excursion", "collision", "synchronous"])
-@pytest.mark.parametrize(("table", "start", "mouth"), RUNNERS.values(), ids=RUNNERS.keys())
+@pytest.mark.parametrize(("table", "start", "chord"), ALONG.values(), ids=ALONG)
 def test_who_is_reflected_along_an_opening_passes_over_it(
-    tmp_path: Path, table: str, start: str, mouth: float, engine: str
+    tmp_path: Path, table: str, start: str, chord: float, engine: str
 ) -> None:
     """In the channel it would run from wall to wall for ever, and a gate would count it."""
     (tmp_path / "s.txt").write_text(f"{start}\n")
@@ -239,7 +240,7 @@ def test_who_is_reflected_along_an_opening_passes_over_it(
     ended = run("o.nml", folder=tmp_path)
     assert ended.returncode == 0, ended.stderr
     with h5py.File(tmp_path / "o.h5") as file:
-        assert abs(abs(file["final/x"][0, 0, 0]) - mouth) > 0.1
+        assert abs(abs(file["final/x"][0, 0, 0]) - chord) > 0.1
         assert file["events/kind"].size == 0
 
 

@@ -158,7 +158,7 @@ class Stage:
         below.plot(times, drawn, color=style.BLUE, lw=1.1)
         label = "counted\nby the gate" if alone else r"mass spread $\chi$"
         below.set_ylabel(label, color=style.BLUE)
-        below.set_ylim(0.0, 1.02 * max(drawn, default=1) or 1.0 if alone else 1.02)
+        below.set_ylim(0.0, 1.02 * max(*drawn, 1) if alone else 1.02)
         below.set_xlim(*shown)
         below.set_xlabel("time $t$  (length / $v$)")
 

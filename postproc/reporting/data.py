@@ -225,9 +225,10 @@ def thinned_series(points: xr.Dataset) -> tuple[Floats, Columns]:
         if points.attrs.get("shape") == "urn":
             flows = (one["flow1_12"] - one["flow1_21"]).values
         past = np.searchsorted(own, time[chosen], side="right")  # entries so far; 0: the start
+        within = np.minimum(np.searchsorted(own, time[chosen]), own.size - 1)  # of an interval
         reached = time[chosen] <= own[-1]
         spread[task] = np.where(reached, chi[past], np.nan)
-        current[task] = np.where(reached, _block_means(flows, np.maximum(past - 1, 0)), np.nan)
+        current[task] = np.where(reached, _block_means(flows, within), np.nan)
     return rounded(time[chosen]), {"spread": spread.ravel(), "current": current.ravel()}
 
 

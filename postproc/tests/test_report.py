@@ -119,7 +119,7 @@ def test_columns_say_what_the_file_says(run_file: Path) -> None:
 
 
 def test_series_of_merged_runs_with_other_intervals_keep_their_times(tmp_path: Path) -> None:
-    """Between two entries of a series chi is that of the one before."""
+    """Between two entries of a series chi is that of the one before, a flow of the interval."""
     for name, interval in (("fine", 3.0), ("coarse", 10.0)):
         results_of(tmp_path / f"{name}.h5", particles={"number": 40, "seed": int(interval)},
                    run={"duration": 30.0}, scan={"replicas": 1},
@@ -133,6 +133,9 @@ def test_series_of_merged_runs_with_other_intervals_keep_their_times(tmp_path: P
     at = int(coarse["replica"])
     later = [float(coarse["chi"].sel(time=when - when % 10.0)) for when in time[3:]]
     assert drawn[at].tolist() == pytest.approx([0.0] * 3 + later)
+    flows = polarised_current_of(coarse, 40.0, 20.0)[1]
+    current = columns["current"].reshape(2, time.size)[at].tolist()
+    assert current == pytest.approx([flows[int(when - 1e-9) // 10] for when in time], abs=1e-6)
 
 
 def scan_of(points: xr.Dataset, at: int) -> dict[str, object]:

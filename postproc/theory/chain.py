@@ -146,7 +146,9 @@ def lifetimes(circuit: Circuit, theory: Theory = WELL_MIXED) -> Lifetimes:
     offset, last = (number + 1) // 2, number // 2
     wall = int(np.clip(round(barrier) - offset, 1, last - 1))
     far = int(np.clip(round(polarised[-1].urn2_number) - offset, wall + 1, last))
-    near = 0 if homogeneous else int(np.clip(round(polarised[-2].urn2_number) - offset, 0, wall))
+    near = 0
+    if not homogeneous:
+        near = int(np.clip(round(polarised[-2].urn2_number) - offset, 0, wall - 1))
     passage, weights = passages(circuit, theory)
     inside, outside = passage(near, wall), passage(far, wall)
     share = 1.0 / (1.0 + inside / outside)

@@ -8,9 +8,7 @@
 !> which is exact.
 module battery_engine
   use battery_kinds, only: wp, int64
-  use battery_table, only: table_type, passage_type, passage_at, chamber_at, channel1, &
-    channel2, no_channel, in_urn, in_gate
-  use battery_motion, only: least_across
+  use battery_table, only: table_type, passage_type, passage_at, no_channel
   use battery_gate, only: gate_type, new_gate, clear_new_entries, rebase_gate, serialize_gate
   use battery_event_record, only: event_record_type
   use battery_archive, only: archive_type
@@ -129,18 +127,14 @@ contains
     !> Clock time at the start, in time units.
     real(wp), intent(in) :: clock
     type(passage_type) :: passage
-    integer :: i, chamber
+    integer :: i
 
     do i = 1, size(particles%x)
       passage = passage_at(table, particles%x(i), particles%y(i), particles%ux(i), particles%uy(i))
-      if (passage%trapped) particles%ux(i) = 0.0_wp
-      if (passage%channel /= no_channel .or. abs(particles%ux(i)) > least_across) cycle
-      chamber = chamber_at(table, particles%x(i), particles%y(i), huge(1.0_wp))
-      if (chamber == in_urn) cycle
-      ! Runs along a chord: it does not enter the channel.
-      particles%ux(i) = 0.0_wp
-      particles%x(i) = sign(table%urn(passage%urn)%channel_start(merge(channel1, channel2, &
-        chamber == in_gate)), particles%x(i))
+      if (passage%trapped .or. passage%chord /= no_channel) particles%ux(i) = 0.0_wp
+      ! The end of a run may have put it beside the chord, by rounding.
+      if (passage%chord /= no_channel) particles%x(i) = sign(table%urn(passage%urn) &
+        %channel_start(passage%chord), particles%x(i))
     end do
     call set_up_engine(self, table, threshold, size(particles%x))
     self%clock_start = clock

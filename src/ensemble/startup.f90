@@ -28,7 +28,7 @@ module battery_startup
   implicit none (type, external)
   private
   public :: find_pending_tasks, find_further_tasks, progress_type, inspect_output, set_pending
-  public :: further_text, accept_output, forgive_if_complete, check_writable
+  public :: further_text, accept_output, clear_error_if_complete, check_writable
   public :: write_partial_results
 
   character(len=*), parameter :: discard_text = &
@@ -216,9 +216,9 @@ contains
       //further_text(progress)
   end subroutine inspect_output
 
-  !> Forgives that an output cannot be written, or has no place for a lock, if it is complete, as
-  !> protected results are: then nothing is to be done.
-  subroutine forgive_if_complete(plan, quiet, complete, error)
+  !> Clears the error that an output or its lock file cannot be written, if the output is complete,
+  !> as protected results are: then nothing is to be done.
+  subroutine clear_error_if_complete(plan, quiet, complete, error)
     type(plan_type), intent(in) :: plan
     !> Whether to print nothing.
     logical, intent(in) :: quiet
@@ -239,7 +239,7 @@ contains
     else if (allocated(other)) then
       call move_alloc(other, error)
     end if
-  end subroutine forgive_if_complete
+  end subroutine clear_error_if_complete
 
   !> An error if the results file of a plan cannot be written.
   subroutine check_writable(plan, error)
@@ -377,6 +377,7 @@ contains
     call open_results(plan%file, file, error, lacks_footer)
     if (.not. allocated(error) .and. lacks_footer) then
       call check_input_of(file, plan, .true., complete, error)
+      if (.not. allocated(error)) call check_writable(plan, error)
       if (.not. allocated(error)) call check_discardable(plan%file//'.part', error)
       if (.not. allocated(error)) call accept_results(plan%file, file, results, error)
       if (.not. allocated(error)) message = plan%file//': accepted as it is, with a new digest: ' &
@@ -410,7 +411,8 @@ contains
     message = ''
     partial = plan
     partial%file = plan%file//'.partial.h5'
-    call check_replaceable()
+    call check_writable(partial, error)
+    if (.not. allocated(error)) call check_replaceable()
     if (allocated(error)) return
     call inspect_journal(plan, .true., sources%journal_type, error)
     if (.not. allocated(error)) call open_sources(sources, .true., error)

@@ -44,8 +44,11 @@ module battery_namelist_text
     !> groups.
     character(len=:), allocatable :: group
     integer :: group_line = 0
-    !> The last key of which a part was given, which is one problem however many parts there are.
+    !> Group and name of the last key of which a part was given, which is one problem however many
+    !> parts there are.
     character(len=:), allocatable :: key_in_parts
+    !> Whether text could not be read, and was skipped up to a group: what it sets is not known.
+    logical, public :: has_skipped_text = .false.
     !> Values of the key that is being read.
     type(value_type), allocatable :: values(:)
   end type reader_type
@@ -93,11 +96,7 @@ contains
       else
         call add_finding(problems, finding_of(reader%line, 'text outside of any group: ' &
           //rest_of_line(reader)//'; a group begins with &name and ends with /'))
-        ! All up to the next group is one problem.
-        do while (.not. (at_end(reader) .or. begins_group(reader)))
-          call skip_line(reader)
-          call skip_blanks(reader, .false.)
-        end do
+        call skip_to_group(reader)
       end if
     end do
   end subroutine read_next
@@ -137,8 +136,8 @@ contains
     if (next(1:1) == '/' .or. next == '&end') then
       reader%at = reader%at + merge(1, 4, next(1:1) == '/')
     else if (at_end(reader) .or. begins_group(reader)) then
-      call add_finding(problems, finding_of(reader%group_line, &
-        'the / that ends the group is missing', group=reader%group))
+      if (.not. reader%has_skipped_text) call add_finding(problems, finding_of( &
+        reader%group_line, 'the / that ends the group is missing', group=reader%group))
     else
       call read_entry(reader, entry, problems)
       return
@@ -162,7 +161,7 @@ contains
     if (key == '') then
       call add_finding(problems, finding_of(reader%line, 'a key was expected at: ' &
         //rest_of_line(reader), group=reader%group))
-      call skip_entries(reader)
+      call skip_to_group(reader)
       return
     end if
     call skip_blanks(reader, .false.)
@@ -175,16 +174,16 @@ contains
       call read_values(reader, name, entry%values, problems)
     else
       call add_finding(problems, finding_of(line, name//': = is missing'))
-      call skip_entries(reader)
+      call skip_to_group(reader)
     end if
     entry%refused = problems%count > before
     if (last_index /= any_index .and. last_index /= size(entry%values) .and. &
       .not. entry%refused) then
       entry%refused = .true.
-      if (key /= reader%key_in_parts) call add_finding(problems, finding_of(line, name &
+      if (name /= reader%key_in_parts) call add_finding(problems, finding_of(line, name &
         //': parts of a key cannot be set', 'the whole list, '//displayable_text(key) &
         //' = 1, 2, ... or '//displayable_text(key)//'(1:2) = 1, 2'))
-      reader%key_in_parts = key
+      reader%key_in_parts = name
     end if
     entry%group = reader%group
     entry%key = key
@@ -200,7 +199,7 @@ contains
     character(len=:), allocatable :: index_text
     integer :: length, at
 
-    length = scan(reader%text(reader%at:reader%at + line_length(reader) - 1), '=/') - 1
+    length = scan(reader%text(reader%at:reader%at + line_length(reader) - 1), '=') - 1
     if (length < 0) length = line_length(reader)
     associate (written => reader%text(reader%at:reader%at + length - 1))
       allocate (character(len=0) :: index_text)
@@ -228,7 +227,7 @@ contains
     type(value_type), allocatable, intent(out) :: values(:)
     type(findings_type), intent(inout) :: problems
     type(value_type) :: value
-    integer :: repeats, count
+    integer :: repeats, count, line
     character(len=:), allocatable :: problem
     logical :: after_comma
 
@@ -237,6 +236,7 @@ contains
     do
       call skip_blanks(reader, .false.)
       if (at_end(reader)) exit
+      line = reader%line
       select case (next_sign(reader))
       case ('/')
         exit
@@ -276,7 +276,7 @@ contains
     subroutine add_mistake(text)
       character(len=*), intent(in) :: text
 
-      call add_finding(problems, finding_of(reader%line, name//': '//text))
+      call add_finding(problems, finding_of(line, name//': '//text))
     end subroutine add_mistake
 
   end subroutine read_values
@@ -305,14 +305,13 @@ contains
     value%text = word
     if (word == '(' .and. next_sign(reader) == '/') then
       problem = 'a list is written without (/ and /)'
-      reader%at = reader%at + max(1, 1 + index(reader%text(reader%at:reader%at &
-        + line_length(reader) - 1), '/)'))
+      call skip_to_group(reader)
     else if (word == '' .and. scan(next_sign(reader), '"'//achar(39)) == 1) then
       value%quoted = .true.
       call read_quoted(reader, value%text, problem)
     else if (word == '') then
       problem = 'a value was expected at: '//rest_of_line(reader)
-      call skip_entries(reader)
+      call skip_to_group(reader)
     end if
     if (repeats == 0) problem = 'a value is repeated 0 times'
   end subroutine read_value
@@ -323,7 +322,7 @@ contains
     character(len=:), allocatable, intent(out) :: text
     character(len=:), allocatable, intent(inout) :: problem
     character(len=1) :: quote
-    integer :: length, at
+    integer :: length
 
     quote = next_sign(reader)
     text = ''
@@ -337,12 +336,7 @@ contains
       text = text//quote
     end do
     text = text//reader%text(reader%at:reader%at + line_length(reader) - 1)
-    call skip_line(reader)
-    ! The / at the end of the line is that of the group.
-    at = len_trim(text)
-    if (at > 0) then
-      if (text(at:at) == '/') reader%at = reader%at - (len(text) - at + 1)
-    end if
+    call skip_to_group(reader)
     problem = 'the quote that ends '//quote//displayable_text(text)//' is missing in its line'
   end subroutine read_quoted
 
@@ -358,7 +352,7 @@ contains
   logical function key_follows(reader) result(follows)
     type(reader_type), intent(in) :: reader
     type(reader_type) :: ahead
-    character(len=:), allocatable :: name
+    character(len=:), allocatable :: name, rest
 
     follows = .false.
     if (scan(next_sign(reader), letters) == 0) return
@@ -367,8 +361,9 @@ contains
     call skip_blanks(ahead, .false.)
     follows = next_sign(ahead) == '='
     ! A value such as range(1, 9) is no key.
-    if (scan(next_sign(ahead), '(%') == 1) follows = scan(ahead%text(ahead%at:ahead%at &
-      + line_length(ahead) - 1), '=') > 0
+    rest = rest_of_line(ahead)
+    if (next_sign(ahead) == '(') follows = index(adjustl(rest(index(rest, ')') + 1:)), '=') == 1
+    if (next_sign(ahead) == '%') follows = index(rest, '=') > 0
   end function key_follows
 
   !> Skips blanks, line ends and comments, and commas if `commas`.
@@ -394,15 +389,17 @@ contains
     end do
   end subroutine skip_blanks
 
-  !> Skips what cannot be read: the rest of a line, or of its group if that ends in this line.
-  pure subroutine skip_entries(reader)
+  !> Skips what cannot be read, which is one problem, up to a line that begins with a group.
+  pure subroutine skip_to_group(reader)
     type(reader_type), intent(inout) :: reader
-    integer :: length
 
-    length = index(reader%text(reader%at:reader%at + line_length(reader) - 1), '/') - 1
-    if (length < 0) length = line_length(reader)
-    reader%at = reader%at + length
-  end subroutine skip_entries
+    reader%has_skipped_text = .true.
+    do
+      call skip_line(reader)
+      call skip_blanks(reader, .false.)
+      if (at_end(reader) .or. begins_group(reader)) return
+    end do
+  end subroutine skip_to_group
 
   !> Skips the rest of a line; the line end itself is not skipped.
   pure subroutine skip_line(reader)

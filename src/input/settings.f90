@@ -37,6 +37,8 @@ module battery_settings
   type :: settings_type
     type(setting_type), allocatable :: all(:)
     type(findings_type) :: problems
+    !> Whether text could not be read: what it sets is not known.
+    logical :: has_skipped_text = .false.
   end type settings_type
 
 contains
@@ -71,6 +73,7 @@ contains
         call check_group(groups, entry, first_line, settings%problems)
       end if
     end do
+    settings%has_skipped_text = reader%has_skipped_text
     ! A misspelt key, or one with an index, counts as given and refused, so it is not reported as
     ! missing as well.
     associate (all => settings%all)

@@ -47,8 +47,8 @@ module battery_lock_file
     character(len=:), allocatable :: path, text
     !> Descriptor of the open lock file, on rank 0 alone; below 0: it is not open.
     integer(c_int), private :: descriptor = -1
-    !> Whether the system refused the lock file: there is no place, or no right, to write.
-    logical :: has_no_place = .false.
+    !> Whether the system refuses to make the lock file, as on a full disk.
+    logical :: is_refused = .false.
   end type lock_type
 
   procedure(number_of_path_and_text), bind(c, name='battery_read_owner') :: c_read_owner
@@ -132,7 +132,7 @@ contains
         reason = system_message()
         failures = failures + 1
         if (failures > most_failures .or. disk_failed) then
-          lock%has_no_place = .true.
+          lock%is_refused = .true.
           call fatal_error(error, lock%path//': cannot be written: '//reason, &
             merge(exit_failure, exit_bad_input, disk_failed))
           return

@@ -296,6 +296,8 @@ contains
     character(len=:), allocatable :: text
     integer :: at
 
+    ! Values of a text that could not be read as a whole are not judged together.
+    if (plan%settings%has_skipped_text) plan%problems = plan%problems(:0)
     if (count(plan%problems%points > 0 .and. plan%problems%points < plan%checked_points) > 1) then
       text = to_text(plan%of_points%points)//' of '//to_text(plan%checked_points) &
         //' points of the scan cannot be simulated'

@@ -71,6 +71,8 @@ module battery_table
     !> Urn and chamber that the particle is in; its channel, or `no_channel`: then the rest is not
     !> set.
     integer :: urn = 0, chamber = outside, channel = no_channel
+    !> Channel along whose chord the particle moves, in the urn, or `no_channel`.
+    integer :: chord = no_channel
     !> Whether the particle is trapped: too slow ever to reach an end; if not, whether it moves away
     !> from its urn, towards the line of the channel.
     logical :: trapped = .false., moves_away = .false.
@@ -363,14 +365,16 @@ contains
       outward = facing(passage%channel)*urn%axis_sign*ux
       passage%trapped = .not. abs(ux)*min(longest_passage*urn%reach, &
         most_hits*channel%width) > channel%length
-      if (passage%trapped) then
-        ! Who moves along the chord is in the urn: there the end of a run may have put it.
-        if (depth > least_across*max(abs(x), urn%reach) .or. outward > least_across) return
+      ! Who moves along the chord is in the urn, also if the end of a run has put it beside it.
+      if (depth <= least_across*max(abs(x), urn%reach) .and. outward <= least_across .and. &
+        (passage%trapped .or. abs(ux) <= least_across)) then
+        if (abs(ux) <= least_across) passage%chord = passage%channel
         passage%trapped = .false.
         passage%chamber = in_urn
         passage%channel = no_channel
         return
       end if
+      if (passage%trapped) return
       passage%time = -depth/outward
       passage%moves_away = outward > 0.0_wp
       height = y

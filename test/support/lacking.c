@@ -2,7 +2,7 @@
    folder or of a file that is open for reading only, fail with the error numbers in the variables NO_FLOCK,
    NO_FOLDER_SYNC and NO_SYNC_FOR_READING; with SIGNALS set, signals interrupt every second open, fsync, ftruncate
    and close of journals and new results (a close is done). The call that NO_CALL
-   names (read, pread64, opendir, readdir, stat, lstat, access, mkdir) with that in NO_CALL_WITH, from the
+   names (read, pread64, close, opendir, readdir, stat, lstat, access, mkdir) with that in NO_CALL_WITH, from the
    NO_CALL_AFTER-th such call on, of paths that end with NO_CALL_OF; a renameat2 so named is done before. With
    HANGUP_HANDLER set, a handler of SIGHUP is there before the program begins, as UCX sets one. */
 #define _GNU_SOURCE
@@ -81,9 +81,11 @@ int ftruncate(int file, off_t length) {
 int close(int file) {
   static int calls = 0;
   int interrupted = getenv("SIGNALS") != NULL && interrupts(path_of(file), &calls);
+  int failed = fails_for("close", file);  // done, as on a disk that is away
   int status = NEXT(int (*)(int), "close")(file);
   if (interrupted) errno = EINTR;
-  return interrupted ? -1 : status;
+  if (failed) errno = number_in("NO_CALL_WITH");
+  return interrupted || failed ? -1 : status;
 }
 
 int flock(int file, int operation) {
