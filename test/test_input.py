@@ -44,7 +44,7 @@ LARGE = {
     "a list": (HEAD + "&scan channel2_width = " + ", ".join(
         f"{0.01 + 1.7e-7 * at:.17g}" for at in range(MANY)) + " /\n", 0, "nothing was written"),
     "wrong keys": (HEAD + "&run\n" + " colisions = 5\n" * MANY + "/\n", 2, f"{MANY - 50} more"),
-    "wrong signs": (HEAD + "&run\n" + " 5\n" * MANY + "/\n", 2, "more; the last"),
+    "wrong signs": (HEAD + "&run 5 /\n" * MANY, 2, f"{2 * MANY - 51} more"),
     "stray lines": (HEAD + "stray\n" * MANY, 2, "text outside of any group: stray"),
     "wrong groups": (HEAD + "&rum /\n" * MANY + "&run /\n" * MANY, 2, f"{2 * MANY - 51} more"),
     "wrong widths": (HEAD + f"&scan channel2_width = {MANY}*7 /\n", 2, "below 2 urn_radius"),
