@@ -193,7 +193,8 @@ def draw_lifetimes(
             said.append(f"{which} above $10^{{{math.log10(DRAWN[1]):.0f}}}$")
         if said:
             axes.text(0.03, 0.97 - 0.06 * row, f"{name}: {', '.join(said)}", va="top",
-                      transform=axes.transAxes, color=colour, fontsize=6)  # fmt: skip
+                      transform=axes.transAxes, color=colour, fontsize=6,
+                      bbox={"fc": "w", "ec": "none", "pad": 1.0})  # fmt: skip
         if not part:
             continue
         left = [one for one in part if one.passages]
