@@ -21,10 +21,10 @@
 module battery_timestep
   use battery_kinds, only: wp, int8, int64
   use battery_text, only: to_text
-  use battery_table, only: table_type, urn_type, channel1, channel2, in_urn, in_gate, in_channel2, &
-    x_direction, are_mirror_images
+  use battery_table, only: table_type, urn_type, channel1, channel2, no_channel, in_urn, in_gate, &
+    in_channel2, x_direction, are_mirror_images
   use battery_channel, only: fold_into_channel, facing, is_open
-  use battery_motion, only: motion_type
+  use battery_motion, only: motion_type, least_across
   use battery_urn, only: contains_point, reflect_overshoot
   use battery_wall_by_wall, only: wall_by_wall_type, reset_counts, serialize_counts, end_instant, &
     count_hits, record_gate_entry, record_line_crossing, window_reaches
@@ -187,23 +187,31 @@ contains
     call end_instant(self, first, event_record)
   end subroutine process_step_end
 
-  !> Corrects a particle in an urn that may be beyond a wall or a chord.
+  !> Corrects a particle in an urn that may be beyond a wall or a chord. Who moves along a chord
+  !> passes over the opening.
   subroutine correct_in_urn(self, i, event_record)
     type(timestep_type), intent(inout) :: self
     integer, intent(in) :: i
     type(event_record_type), intent(inout) :: event_record
     real(wp) :: x, ux
+    integer :: opening
     logical :: was_beyond
 
+    opening = no_channel
     associate (urn => self%table%urn(self%urn(i)), y => self%y(i))
       x = urn%centre + urn%axis_sign*self%x(i)
       ux = urn%axis_sign*self%ux(i)
-      if (x >= urn%chord(channel1) .and. ux > 0.0_wp .and. abs(y) < urn%half_width(channel1)) then
+      if (x >= urn%chord(channel1) .and. abs(y) < urn%half_width(channel1)) then
+        opening = channel1
+      else if (x <= -urn%chord(channel2) .and. abs(y) < urn%half_width(channel2)) then
+        opening = channel2
+      end if
+      if (opening /= no_channel .and. abs(ux) <= least_across) return
+      if (opening == channel1 .and. ux > 0.0_wp) then
         call change_chamber(self, i, in_gate, urn%half_width(channel1), (x - urn%chord(channel1)) &
           /ux)
         call record_gate_entry(self, event_record, i, self%motion_now(i))
-      else if (x <= -urn%chord(channel2) .and. ux < 0.0_wp &
-        .and. abs(y) < urn%half_width(channel2)) then
+      else if (opening == channel2 .and. ux < 0.0_wp) then
         call change_chamber(self, i, in_channel2, urn%half_width(channel2), &
           (x + urn%chord(channel2))/ux)
       else
@@ -245,7 +253,8 @@ contains
       ! Distance beyond the chord, and distance to the line.
       depth = facing(channel)*(urn%channel_start(channel) - out*x)
       ahead = merge(out*x, urn%periodic_line - out*x, channel == channel1)
-      if (.not. inward .and. depth < 0.0_wp .and. contains_point(urn, urn%centre - out*x, &
+      ! On the chord it is in the urn: who moves along the chord passes over the opening.
+      if (.not. inward .and. depth <= 0.0_wp .and. contains_point(urn, urn%centre - out*x, &
         self%y(i), 0.0_wp)) then
         ago = 0.0_wp
         if (abs(self%ux(i)) > 0.0_wp) ago = -depth/abs(self%ux(i))
@@ -255,7 +264,7 @@ contains
       if (abs(self%y(i)) > half_width) call mirror_in_channel(self, i, half_width, event_record)
       if (.not. inward) then
         ! The particle is in the wall beside the channel.
-        if (depth < 0.0_wp) call change_chamber(self, i, in_urn, half_width, 0.0_wp)
+        if (depth <= 0.0_wp) call change_chamber(self, i, in_urn, half_width, 0.0_wp)
       else if (ahead < 0.0_wp) then
         call move_across_line(self, i, event_record)
       end if
