@@ -31,25 +31,17 @@ REACHING = (
     "-0.3,-1.0, 0.2,-0.4, 0.7,-1.1"
 )
 WRONG = {
-    "shape = 'urn' urn_vertices = 1,2,3": [
-        "urn_vertices is given; allowed: nothing, since"
-    ],
-    "urn_shape = 'polygon'": [
-        "urn_shape = 'polygon'; allowed: with urn_vertices or urn_sides"
-    ],
+    "shape = 'urn' urn_vertices = 1,2,3": ["urn_vertices is given; allowed: nothing, since"],
+    "urn_shape = 'polygon'": ["urn_shape = 'polygon'; allowed: with urn_vertices or urn_sides"],
     "urn_shape = 'polygon' urn_sides = 7": ["urn_sides = 7; allowed: even numbers"],
     "urn_shape = 'polygon' urn_sides = 2": ["urn_sides = 2"],
     "urn_shape = 'polygon' urn_vertices = 1, -1, x": ["urn_vertices = 1, -1, x"],
-    f"urn_shape = 'polygon' urn_sides = 6 urn_vertices = {SQUARE}": [
-        "given beside corners"
-    ],
+    f"urn_shape = 'polygon' urn_sides = 6 urn_vertices = {SQUARE}": ["given beside corners"],
     f"urn_shape = 'polygon' urn_radius = 1 urn_vertices = {SQUARE}": [
         "urn_radius is given beside urn_vertices; allowed: one of the two"
     ],
     "urn_shape = 'polygon' urn_vertices = 1,-1, 1,1, 0": ["has 5 numbers"],
-    "urn_shape = 'polygon' urn_vertices = 1,-1, 1,1": [
-        "has 2 corners; allowed: three corners"
-    ],
+    "urn_shape = 'polygon' urn_vertices = 1,-1, 1,1": ["has 2 corners; allowed: three corners"],
     "urn_shape = 'polygon' urn_vertices = 1,-1, 1,1, 1,1, -1,1, -1,-1": [
         "the side from corner 2 to 3, which has no length"
     ],
@@ -92,9 +84,7 @@ WRONG = {
 }
 # Those of more than one.
 FAULTS = {
-    table: 2
-    for table in WRONG
-    if "which is not upright" in WRONG[table][0] or "1.9" in table
+    table: 2 for table in WRONG if "which is not upright" in WRONG[table][0] or "1.9" in table
 }
 
 
@@ -143,9 +133,7 @@ def test_clockwise_corners_are_turned_round_with_a_note(tmp_path: Path) -> None:
     assert seeds[0] == seeds[1]
 
 
-@pytest.mark.parametrize(
-    "engine", ["excursion", "collision", "synchronous", "reservoir"]
-)
+@pytest.mark.parametrize("engine", ["excursion", "collision", "synchronous", "reservoir"])
 @pytest.mark.parametrize(
     "table",
     [
@@ -153,9 +141,7 @@ def test_clockwise_corners_are_turned_round_with_a_note(tmp_path: Path) -> None:
         f"urn_vertices = {REACHING} urn2_vertices = {SQUARE}", "urn_sides = 4 urn_radius = 1.3, 1",
     ],
 )  # fmt: skip
-def test_pictures_have_all_particles_inside(
-    tmp_path: Path, table: str, engine: str
-) -> None:
+def test_pictures_have_all_particles_inside(tmp_path: Path, table: str, engine: str) -> None:
     """Walls are those of the run: in snapshots nobody is outside of them."""
     text = f"{HEAD}&table urn_shape = 'polygon' {table} /\n&run engine = '{engine}' /\n"
     text = text.replace("&run collisions = 20000 /\n", "").replace(
@@ -211,9 +197,7 @@ def test_who_begins_at_the_end_or_along_an_opening_is_where_it_is(
         ended = run("c.nml", folder=tmp_path)
         assert ended.returncode == 0, ended.stderr
         with h5py.File(tmp_path / f"{engine}.h5") as file:
-            places[engine] = np.array(
-                [file[f"snapshots/{name}"][0, 0, :, 0] for name in "xy"]
-            )
+            places[engine] = np.array([file[f"snapshots/{name}"][0, 0, :, 0] for name in "xy"])
     assert places["excursion"] == pytest.approx(places["collision"], abs=1e-9)
 
 
@@ -268,9 +252,7 @@ def test_who_is_reflected_along_an_opening_passes_over_it(
 
 
 @pytest.mark.parametrize("engine", ["excursion", "collision", "synchronous"])
-def test_from_corner_to_corner_nobody_flies_outside(
-    tmp_path: Path, engine: str
-) -> None:
+def test_from_corner_to_corner_nobody_flies_outside(tmp_path: Path, engine: str) -> None:
     """Turned by a sharp corner along the line that joins it to another one, over a notch."""
     (tmp_path / "start.txt").write_text("-1.5 -0.5 0.6 0.8\n")
     text = namelist(
@@ -328,12 +310,8 @@ def test_who_meets_a_corner_after_many_events_of_another_is_not_trapped(
         ended = run("o.nml", folder=tmp_path)
         assert ended.returncode == 0, ended.stderr
         with h5py.File(tmp_path / f"{engine}.h5") as file:
-            found[engine] = [
-                file[f"final/{name}"][()].ravel() for name in ("x", "y", "ux", "uy")
-            ]
-    np.testing.assert_allclose(
-        found["synchronous"], found["collision"], rtol=0, atol=1e-9
-    )
+            found[engine] = [file[f"final/{name}"][()].ravel() for name in ("x", "y", "ux", "uy")]
+    np.testing.assert_allclose(found["synchronous"], found["collision"], rtol=0, atol=1e-9)
 
 
 def test_theories_take_the_area_or_say_that_they_know_discs_only(
