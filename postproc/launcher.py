@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 import re
+from pathlib import Path
 
 # As root (in containers), and with more ranks than cores.
 LAUNCHER = {
@@ -68,8 +69,14 @@ def own_environment() -> dict[str, str]:
     """Return the environment in which a program is a job of its own.
 
     Python may itself be a rank, under `mpirun` or `srun`: the variables of that job are left out.
+    Open MPI 4 crashes without HOME where the machine does not know the user, as in containers.
     """
-    return {name: one for name, one in os.environ.items() if not _RANK_OF_A_JOB.fullmatch(name)}
+    try:
+        home = str(Path.home())
+    except RuntimeError:
+        home = os.sep
+    own = {name: one for name, one in os.environ.items() if not _RANK_OF_A_JOB.fullmatch(name)}
+    return {"HOME": home, **own}
 
 
 def program_words(errors: str) -> str:

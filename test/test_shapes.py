@@ -222,6 +222,9 @@ ALONG = {
     "disc, exactly": ("shape = 'urn', urn_radius = 0.8149801915519674, channel1_length = 2.25, "
                       "channel1_width = 0.6269078396553596",
                       "-1.8425110460593714 0.7526067856611007 28560 239", 1.125),
+    "disc, far away": ("shape = 'urn', urn_radius = 1.625, channel1_length = 4096, "
+                       "channel1_width = 1.25",
+                       "-2050.6083374023438 1.0119400024414062 3369960 3455641", 2048.0),
 }  # fmt: skip
 
 
@@ -249,6 +252,42 @@ def test_who_is_reflected_along_an_opening_passes_over_it(
     with h5py.File(tmp_path / "o.h5") as file:
         assert abs(abs(file["final/x"][0, 0, 0]) - chord) > 0.1
         assert file["events/kind"].size == 0
+
+
+OVER = "urn_shape = 'polygon', channel1_width = 0.3, channel2_width = 0, urn_vertices = "
+# Starts of which rounding says when they cross the line of an opening, and when they hit a wall.
+UPRIGHT = {
+    "T, low": (f"{OVER} 0,-1, 0,1, .3,1, .3,1.3, -1,1.3, -1,-1, channel1_length = 1.3",
+               "0.65 1.2 -6.123233995736766e-17 -1"),
+    "T, high": (f"{OVER} 0,-1, 0,1, .3,1, .3,1.5, -1,1.5, -1,-1, channel1_length = 0.9",
+                "-0.45 1.2 6.123233995736766e-17 -1"),
+    "wedge": (f"{OVER} 0,-.6, 0,.6, .1,.9, -.8,.9, -.8,-.6, channel1_length = 1.5",
+              "0.75 0.85 -1.8369701987210297e-16 -1"),
+    "wide disc": ("channel1_width = 1.8, channel2_width = 0",
+                  "-0.5000000000020187 -0.6652489469725353 2.018718525675922e-12 "
+                  "1.5652489469725355"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("engine", ["excursion", "collision", "synchronous"])
+@pytest.mark.parametrize("case", UPRIGHT)
+def test_who_moves_nearly_along_an_opening_flies_freely_at_first(
+    tmp_path: Path, case: str, engine: str
+) -> None:
+    table, start = UPRIGHT[case]
+    (tmp_path / "s.txt").write_text(f"{start}\n")
+    (tmp_path / "o.nml").write_text(
+        f"&table {table} /\n&particles number = 1, initial_file = 's.txt' /\n"
+        f"&gate threshold = 1 /\n&run duration = 3.3, engine = '{engine}' /\n"
+        "&output file = 'o.h5', snapshot_times = 0.0625, 0.125 /\n"
+    )
+    ended = run("o.nml", folder=tmp_path)
+    assert ended.returncode == 0, ended.stderr
+    _, height, _, u_y = (float(word) for word in start.split())
+    upwards = np.sign(u_y)
+    with h5py.File(tmp_path / "o.h5") as file:
+        moved = file["snapshots/y"][0, 0, :, 0] - height
+    assert moved == pytest.approx([0.0625 * upwards, 0.125 * upwards], abs=1e-11)
 
 
 @pytest.mark.parametrize("engine", ["excursion", "collision", "synchronous"])

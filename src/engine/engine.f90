@@ -9,6 +9,8 @@
 module battery_engine
   use battery_kinds, only: wp, int64
   use battery_table, only: table_type, passage_type, passage_at, no_channel
+  use battery_urn, only: shape_polygon
+  use battery_motion, only: least_across
   use battery_gate, only: gate_type, new_gate, clear_new_entries, rebase_gate, serialize_gate
   use battery_event_record, only: event_record_type
   use battery_archive, only: archive_type
@@ -131,7 +133,8 @@ contains
 
     do i = 1, size(particles%x)
       passage = passage_at(table, particles%x(i), particles%y(i), particles%ux(i), particles%uy(i))
-      if (passage%trapped .or. passage%chord /= no_channel) particles%ux(i) = 0.0_wp
+      if (passage%trapped .or. passage%chord /= no_channel .or. (table%urn(passage%urn)%shape &
+        == shape_polygon .and. abs(particles%ux(i)) <= least_across)) particles%ux(i) = 0.0_wp
       ! The end of a run may have put it beside the chord, by rounding.
       if (passage%chord /= no_channel) particles%x(i) = sign(table%urn(passage%urn) &
         %channel_start(passage%chord), particles%x(i))

@@ -25,6 +25,7 @@ module battery_communicator
   use battery_kinds, only: dp, int64
   use battery_clocks, only: sleep_for
   use battery_error, only: error_type, fatal_error
+  use battery_process, only: set_home
   use battery_signals, only: signals_watch
   implicit none (type, external)
   private
@@ -92,6 +93,7 @@ contains
 
     call ieee_get_status(status)
     call ieee_set_halting_mode(ieee_all, .false.)
+    call set_home()
     call MPI_Init()
     call ieee_set_status(status)
   end subroutine initialize_mpi

@@ -49,6 +49,8 @@ module battery_namelist_text
     character(len=:), allocatable :: key_in_parts
     !> Whether text could not be read, and was skipped up to a group: what it sets is not known.
     logical, public :: has_skipped_text = .false.
+    !> Whether there is no such group: what is in it is not judged.
+    logical, public :: is_in_unknown_group = .false.
     !> Values of the key that is being read.
     type(value_type), allocatable :: values(:)
   end type reader_type
@@ -93,6 +95,7 @@ contains
         entry%group = lower_case(entry%group)
         reader%group = entry%group
         reader%group_line = entry%line
+        reader%is_in_unknown_group = .false.
       else
         call add_finding(problems, finding_of(reader%line, 'text outside of any group: ' &
           //rest_of_line(reader)//'; a group begins with &name and ends with /'))
@@ -130,14 +133,13 @@ contains
     !> Its group is allocated if there is a key.
     type(entry_type), intent(inout) :: entry
     type(findings_type), intent(inout) :: problems
-    character(len=4) :: next
 
-    next = lower_case(reader%text(reader%at:min(len(reader%text), reader%at + 3)))
-    if (next(1:1) == '/' .or. next == '&end') then
-      reader%at = reader%at + merge(1, 4, next(1:1) == '/')
+    if (ends_group(reader)) then
+      reader%at = reader%at + merge(1, 4, next_sign(reader) == '/')
     else if (at_end(reader) .or. begins_group(reader)) then
-      if (.not. reader%has_skipped_text) call add_finding(problems, finding_of( &
-        reader%group_line, 'the / that ends the group is missing', group=reader%group))
+      if (.not. (reader%has_skipped_text .or. reader%is_in_unknown_group)) call add_finding( &
+        problems, finding_of(reader%group_line, 'the / that ends the group is missing', &
+        group=reader%group))
     else
       call read_entry(reader, entry, problems)
       return
@@ -158,31 +160,32 @@ contains
     call read_before(reader, verify(reader%text(reader%at:), name_signs), key)
     key = lower_case(key)
     name = '&'//displayable_text(reader%group)//' '//displayable_text(key)
-    if (key == '') then
-      call add_finding(problems, finding_of(reader%line, 'a key was expected at: ' &
-        //rest_of_line(reader), group=reader%group))
+    if (key == '' .or. key == 'end') then
+      call add_form_finding(reader, 'a key was expected at: '//key//rest_of_line(reader) &
+        //'; a group ends with / or &end', problems)
       call skip_to_group(reader)
       return
     end if
     call skip_blanks(reader, .false.)
     last_index = any_index
-    if (scan(next_sign(reader), '(%') == 1) call read_index(reader, last_index)
+    if (next_sign(reader) == '(') call read_index(reader, last_index)
     before = problems%count
     allocate (entry%values(0))
     if (next_sign(reader) == '=') then
       reader%at = reader%at + 1
       call read_values(reader, name, entry%values, problems)
     else
-      call add_finding(problems, finding_of(line, name//': = is missing'))
+      call add_form_finding(reader, name//': '//trim(merge('keys have no parts, and no %', &
+        '= is missing                ', next_sign(reader) == '%')), problems, line)
       call skip_to_group(reader)
     end if
     entry%refused = problems%count > before
     if (last_index /= any_index .and. last_index /= size(entry%values) .and. &
       .not. entry%refused) then
       entry%refused = .true.
-      if (name /= reader%key_in_parts) call add_finding(problems, finding_of(line, name &
-        //': parts of a key cannot be set', 'the whole list, '//displayable_text(key) &
-        //' = 1, 2, ... or '//displayable_text(key)//'(1:2) = 1, 2'))
+      if (name /= reader%key_in_parts) call add_form_finding(reader, name &
+        //': parts of a key cannot be set; allowed: the whole list, '//displayable_text(key) &
+        //' = 1, 2, ... or '//displayable_text(key)//'(1:2) = 1, 2', problems, line)
       reader%key_in_parts = name
     end if
     entry%group = reader%group
@@ -239,19 +242,22 @@ contains
       line = reader%line
       select case (next_sign(reader))
       case ('/')
+        if (ends_group(reader)) exit
+        call add_mistake('a / within a text; texts are written in quotes')
+        call skip_to_group(reader)
         exit
       case ('&')
-        if (begins_group(reader)) exit
-        call add_mistake('a list goes on in the next line without &')
-        reader%at = reader%at + 1
-        cycle
+        if (begins_group(reader) .or. ends_group(reader)) exit
+        call add_mistake('a list goes on in the next line without &, and &end is one word')
+        call skip_to_group(reader)
+        exit
       case (',')
         if (after_comma) call add_mistake('a value is missing before a comma')
         after_comma = .true.
         reader%at = reader%at + 1
         cycle
       case default
-        if (key_follows(reader)) exit
+        if (key_follows(reader, count > 0)) exit
       end select
       call read_value(reader, value, repeats, problem)
       after_comma = .false.
@@ -276,7 +282,7 @@ contains
     subroutine add_mistake(text)
       character(len=*), intent(in) :: text
 
-      call add_finding(problems, finding_of(line, name//': '//text))
+      call add_form_finding(reader, name//': '//text, problems, line)
     end subroutine add_mistake
 
   end subroutine read_values
@@ -340,26 +346,56 @@ contains
     problem = 'the quote that ends '//quote//displayable_text(text)//' is missing in its line'
   end subroutine read_quoted
 
-  !> Whether the next characters are & and a name.
+  !> Adds a problem of the form, unless there is no such group.
+  pure subroutine add_form_finding(reader, text, problems, line)
+    type(reader_type), intent(in) :: reader
+    character(len=*), intent(in) :: text
+    type(findings_type), intent(inout) :: problems
+    !> The line, if it is not that of the reader.
+    integer, intent(in), optional :: line
+    integer :: at
+
+    if (reader%is_in_unknown_group) return
+    at = reader%line
+    if (present(line)) at = line
+    call add_finding(problems, finding_of(at, text))
+  end subroutine add_form_finding
+
+  !> Whether the next characters are & and a name, which is not `end`.
   pure logical function begins_group(reader) result(begins)
     type(reader_type), intent(in) :: reader
 
     begins = next_sign(reader) == '&' .and. reader%at < len(reader%text)
-    if (begins) begins = scan(reader%text(reader%at + 1:reader%at + 1), name_signs) == 1
+    if (begins) begins = scan(reader%text(reader%at + 1:reader%at + 1), name_signs) == 1 &
+      .and. .not. ends_group(reader)
   end function begins_group
 
-  !> Whether the next characters are a name and =, so that the values have ended.
-  logical function key_follows(reader) result(follows)
+  !> Whether the next characters are `&end`, or / with no text right after it, as in a path.
+  pure logical function ends_group(reader) result(ends)
     type(reader_type), intent(in) :: reader
+    character(len=5) :: next
+
+    next = lower_case(reader%text(reader%at:min(len(reader%text), reader%at + 4)))
+    ends = next(:4) == '&end' .and. scan(next(5:), name_signs) == 0
+    if (next(1:1) == '/') ends = scan(next(2:2), name_signs//'./~') == 0
+  end function ends_group
+
+  !> Whether the next characters are a name and =, so that the values have ended. After a value, a
+  !> name and a number or a quote are a key that lacks its =.
+  logical function key_follows(reader, after_value) result(follows)
+    type(reader_type), intent(in) :: reader
+    logical, intent(in) :: after_value
     type(reader_type) :: ahead
     character(len=:), allocatable :: name, rest
 
-    follows = .false.
+    ! No value begins with a $, as in the `$end` of old programs.
+    follows = next_sign(reader) == '$'
     if (scan(next_sign(reader), letters) == 0) return
     ahead%text = reader%text(reader%at:min(len(reader%text), reader%at + 1000))
     call read_before(ahead, verify(ahead%text(ahead%at:), name_signs), name)
     call skip_blanks(ahead, .false.)
-    follows = next_sign(ahead) == '='
+    follows = next_sign(ahead) == '=' .or. name == 'end' &
+      .or. (after_value .and. scan(next_sign(ahead), '0123456789+-:"'//achar(39)) == 1)
     ! A value such as range(1, 9) is no key.
     rest = rest_of_line(ahead)
     if (next_sign(ahead) == '(') follows = index(adjustl(rest(index(rest, ')') + 1:)), '=') == 1

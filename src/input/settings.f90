@@ -70,7 +70,7 @@ contains
       if (allocated(entry%key)) then
         call use_entry(entry, settings)
       else
-        call check_group(groups, entry, first_line, settings%problems)
+        call check_group(groups, entry, first_line, reader%is_in_unknown_group, settings%problems)
       end if
     end do
     settings%has_skipped_text = reader%has_skipped_text
@@ -127,20 +127,22 @@ contains
   end subroutine serialize_settings
 
   !> Reports a group that is unknown or repeated.
-  subroutine check_group(groups, entry, first_line, problems)
+  subroutine check_group(groups, entry, first_line, is_unknown, problems)
     !> All groups.
     type(string_type), intent(in) :: groups(:)
     !> The beginning of a group.
     type(entry_type), intent(in) :: entry
     !> Line in which each group is first; 0: none so far.
     integer, intent(inout) :: first_line(:)
+    logical, intent(out) :: is_unknown
     type(findings_type), intent(inout) :: problems
     integer :: at
 
     do at = 1, size(groups)
       if (groups(at)%text == entry%group) exit
     end do
-    if (at > size(groups)) then
+    is_unknown = at > size(groups)
+    if (is_unknown) then
       call add_finding(problems, finding_of(entry%line, 'there is no such group'//suggestion('&', &
         closest_word(entry%group, groups)), '&'//join(groups, ', &'), entry%group, kind=of_group))
     else if (first_line(at) > 0) then

@@ -174,6 +174,12 @@ static int is_file_of(const char *path, const struct stat *file) {
   return lstat(path, &found) == 0 && found.st_dev == file->st_dev && found.st_ino == file->st_ino;
 }
 
+/* Renames a file in place of another. Some file servers do not replace a file: there it is removed before. */
+int battery_rename(const char *old, const char *new) {
+  if (rename(old, new) == 0) return 0;
+  return errno == EEXIST && unlink(new) == 0 && rename(old, new) == 0 ? 0 : errno;
+}
+
 /* Renames a file to a name that no file has, or only the file with the given identity; -1: another
    file has it. A file server may rename it and the answer be lost, so that the call fails. */
 int battery_put_in_place(const char *old, const char *new, const int64_t seen[5]) {
@@ -205,7 +211,7 @@ int battery_put_in_place(const char *old, const char *new, const int64_t seen[5]
     /* Some file systems do not support this. */
 #endif
   }
-  status = rename(old, new) == 0 ? 0 : errno;
+  status = battery_rename(old, new);
   return is_file_of(new, &mine) ? 0 : status;
 }
 

@@ -25,7 +25,7 @@ module battery_files
   procedure(number_of_path), bind(c, name='battery_remove') :: c_remove
   procedure(number_of_path), bind(c, name='battery_make_folder') :: c_make_folder
   procedure(number_of_path), bind(c, name='battery_sync') :: c_sync
-  procedure(number_of_paths), bind(c, name='rename') :: c_rename
+  procedure(number_of_paths), bind(c, name='battery_rename') :: c_rename
   procedure(returns_number), bind(c, name='battery_is_disk_error') :: c_is_disk_error
 
   interface

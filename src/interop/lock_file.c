@@ -67,9 +67,17 @@ static int is_of_an_owner(const char *found) {
   return 1;
 }
 
+/* Locks the new file, and writes the text of its owner; 0, or an error number. */
+static int write_owner(int descriptor, const char *text) {
+  lock(descriptor);
+  int status = battery_write_all(descriptor, text, strlen(text));
+  return status == 0 && fsync(descriptor) != 0 ? errno : status;
+}
+
 /* Removes the file of an ended run of this machine; `taken` if there is no file now. If the file
-   belongs, or may belong, to another run, `holder` (`capacity` bytes) is its text. */
-static int remove_of_ended(const char *path, const char *text, char *holder, int capacity) {
+   belongs, or may belong, to another run, `holder` (`capacity` bytes) is its text. Where no open file can
+   be removed, it is taken over in its place, and stays open, as `kept`. */
+static int remove_of_ended(const char *path, const char *text, char *holder, int capacity, int *kept) {
   int descriptor = open(path, O_RDWR | O_NOFOLLOW | O_CLOEXEC | O_NONBLOCK), outcome = taken, got;
   struct stat found;
   holder[0] = '\0';
@@ -96,19 +104,15 @@ static int remove_of_ended(const char *path, const char *text, char *holder, int
     }
     else if (named < 0) outcome = failed;
     else if (got != locked) outcome = got == locked_by_another ? held : unknown;
-    else if (unlink(path) != 0) outcome = failed;
+    else if (unlink(path) != 0) {
+      if (ftruncate(descriptor, 0) == 0 && write_owner(descriptor, text) == 0) *kept = descriptor;
+      else outcome = failed;
+    }
   }
   int status = errno;
-  close(descriptor);
+  if (*kept < 0) close(descriptor);
   errno = status;
   return outcome;
-}
-
-/* Locks the new file, and writes the text of its owner; 0, or an error number. */
-static int write_owner(int descriptor, const char *text) {
-  lock(descriptor);
-  int status = battery_write_all(descriptor, text, strlen(text));
-  return status == 0 && fsync(descriptor) != 0 ? errno : status;
 }
 
 /* Creates the file, locked and with its text; returns its descriptor, or -1. It is written before it
@@ -148,8 +152,9 @@ static int create_and_write(const char *path, const char *text) {
    text. If it belonged to an ended run of this machine, it is removed, `holder` is the text that it had, and
    the outcome is `again`. */
 int battery_own(const char *path, const char *text, char *holder, int capacity, int *descriptor) {
-  int outcome = remove_of_ended(path, text, holder, capacity);
-  if (outcome != taken) return outcome;
+  *descriptor = -1;
+  int outcome = remove_of_ended(path, text, holder, capacity, descriptor);
+  if (outcome != taken || *descriptor >= 0) return outcome;
   if (holder[0] != '\0') return again;
   *descriptor = create_at_once(path, text);
   if (*descriptor < 0 && errno != EEXIST) *descriptor = create_and_write(path, text);
@@ -157,10 +162,15 @@ int battery_own(const char *path, const char *text, char *holder, int capacity, 
   return errno == EEXIST ? again : failed;
 }
 
-/* Removes the file, if it is still that of the owner, and releases the lock. */
+/* Removes the file, if it is still that of the owner, and releases the lock. Where no open file can be
+   removed, it is removed after that, unless another run has written its own text to it. */
 void battery_disown(const char *path, int descriptor) {
-  if (names(path, descriptor) > 0) unlink(path);
+  char text[256], now[256];
+  ssize_t length = 0;
+  if (names(path, descriptor) > 0 && unlink(path) != 0) length = pread(descriptor, text, sizeof text, 0);
   close(descriptor);
+  if (length > 0 && battery_read_owner(path, now, sizeof now) == length && memcmp(text, now, (size_t)length) == 0)
+    unlink(path);
 }
 
 /* Name of this machine, without blanks, and its length; `name` has `capacity` bytes. */

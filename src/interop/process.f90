@@ -1,10 +1,10 @@
 !> This process, the machine that it runs on, and what the system's files say of both.
 module battery_process
   use, intrinsic :: iso_c_binding, only: c_int
-  use battery_c_shapes, only: returns_number, number_of_text
+  use battery_c_shapes, only: action, returns_number, number_of_text
   implicit none (type, external)
   private
-  public :: exit_process, exit_after, process_number, host_name, machine_text, text_after
+  public :: exit_process, exit_after, set_home, process_number, host_name, machine_text, text_after
 
   interface
     !> Ends the program, without the message `STOP` of Fortran.
@@ -25,6 +25,9 @@ module battery_process
       integer(c_int), value, intent(in) :: code
     end subroutine exit_after
   end interface
+
+  !> Sets the variable HOME of a user whom the machine does not know.
+  procedure(action), bind(c, name='process_set_home') :: set_home
 
   !> Process identifier of this process.
   procedure(returns_number), bind(c, name='getpid') :: process_number

@@ -22,6 +22,9 @@ module battery_initial_state
   !> Number of particles or lines between two checks for a stop request.
   integer, parameter :: particles_between_stop_checks = 65536
 
+  !> What is wrong with a line that is not of numbers.
+  character(len=*), parameter :: not_numbers = 'is not four finite numbers: '
+
 contains
 
   !> Allocates arrays for `number` particles; an error if there is no memory.
@@ -133,8 +136,9 @@ contains
       if (problem /= '') then
         foreign = foreign_byte_text(text(line_start:min(last, len(text, int64))))
         if (foreign /= '') problem = foreign
-        ! All lines may have such a byte, or so many columns.
-        if (problem /= before) call add_finding(findings, finding_of(line, problem))
+        ! All lines may have such a byte, so many columns, or a sign that is no part of a number.
+        if (problem /= before .and. .not. (index(problem, not_numbers) == 1 .and. index(before, &
+          not_numbers) == 1)) call add_finding(findings, finding_of(line, problem))
         if (foreign /= '') exit
         before = problem
         ! It may be the names of columns.
@@ -206,7 +210,7 @@ contains
     do k = 1, 4
       call read_decimal(line(first(k):last(k)), state(k), problem)
       if (problem == '') cycle
-      problem = 'is not four finite numbers: '//displayable_text(line(first(k):last(k)))//' ' &
+      problem = not_numbers//displayable_text(line(first(k):last(k)))//' ' &
         //problem
       return
     end do

@@ -31,6 +31,7 @@ contains
     !> All problems, one per line; code `exit_bad_input`.
     type(error_type), allocatable, intent(out) :: error
     character(len=:), allocatable :: text
+    logical :: has_table
 
     call read_input(file, longest_namelist, text, error)
     ! Of a file that is too long the first bytes are there.
@@ -42,8 +43,13 @@ contains
     end if
     call read_plan(text, file, plan)
     call check_files(plan)
+    ! There is a table to check the file with if all problems are of values of other groups.
+    associate (all => plan%settings%all)
+      has_table = plan%settings%problems%count == count(all%given .and. .not. all%known .and. &
+        all%key%group /= 'table' .and. all%key%group /= 'particles' .and. all%key%group /= 'scan')
+    end associate
     call set_input_error(plan, error)
-    call use_initial_file(plan, error)
+    if (has_table) call use_initial_file(plan, error)
   end subroutine read_namelist
 
   !> Checks that an initial file is no pipe and begins one run, and that a new results file can be
@@ -130,7 +136,7 @@ contains
   end function part_of_output
 
   !> Reads the initial file, once, and counts its particles in urn 1. All particles must be inside
-  !> the table of every point; problems are added to those of the namelist.
+  !> the table of every point; problems are added to those of the values of the namelist.
   subroutine use_initial_file(plan, error)
     type(plan_type), intent(inout) :: plan
     type(error_type), allocatable, intent(inout) :: error

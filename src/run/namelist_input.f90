@@ -9,7 +9,7 @@ module battery_namelist_input
     displayable_text, of_missing
   use battery_settings, only: settings_type, read_settings, find_setting, is_given, get_value
   use battery_key, only: whole_key, is_beyond, longest_range
-  use battery_keys, only: all_keys, key_length, corner_keys
+  use battery_keys, only: all_keys, corner_keys
   use battery_identity, only: twelve_digits
   use battery_plan, only: plan_type, scanned_type, points_text, refuse_value, refuse_key, &
     is_scanned
@@ -137,12 +137,8 @@ contains
     type(settings_type), intent(in) :: settings
     type(plan_type), intent(inout) :: plan
     type(scanned_type) :: one
-    integer :: at, last, k
+    integer :: at, last
 
-    ! A length that was refused is not 0, so that others can be checked.
-    do k = 1, 2
-      plan%base%of(key_length(k))%real = 1.0_wp
-    end do
     do at = 1, size(settings%all)
       associate (key => settings%all(at)%key)
         if (key%place == 0 .or. key%is_range) cycle

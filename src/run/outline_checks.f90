@@ -9,6 +9,7 @@ module battery_outline_checks
   use battery_polygon, only: upright
   use battery_keys, only: key_radius, key_width, corner_keys
   use battery_plan, only: plan_type, point_type, refuse_value, refuse_key, is_scanned, corners_of
+  use battery_settings, only: is_refused
   use battery_text, only: to_text
   implicit none (type, external)
   private
@@ -37,7 +38,8 @@ contains
 
     associate (all => plan%settings%all)
       has_valid_outlines = .not. any(all%given .and. .not. all%known .and. (all%key%name &
-        == 'urn_sides' .or. all%key%name == corner_keys(1) .or. all%key%name == corner_keys(2)))
+        == 'urn_shape' .or. all%key%name == 'urn_sides' .or. all%key%name == corner_keys(1) .or. &
+        all%key%name == corner_keys(2)))
     end associate
     do at = 1, size(plan%problems)
       if (index(plan%problems(at)%key, 'urn_') == 1 .or. index(plan%problems(at)%key, 'urn2_') &
@@ -72,6 +74,7 @@ contains
     character(len=*), parameter :: polygons = 'nothing, since urn_shape is ''disc'''
     integer :: urn
 
+    if (is_refused(plan%settings, 'urn_shape')) return
     if (plan%urn_shape == 'disc') then
       if (plan%urn_sides > 0) call refuse_value(plan, 'urn_sides', to_text(plan%urn_sides), &
         polygons)

@@ -6,7 +6,7 @@ module battery_plan_checks
   use battery_engine, only: engine_type
   use battery_engines, only: new_engine, has_step, explain_refusal
   use battery_keys, only: key_threshold, key_threshold_fraction, key_number, key_width, &
-    key_urn1_fraction
+    key_length, key_radius, key_urn1_fraction
   use battery_plan, only: plan_type, point_type, refuse_value, refuse_key, is_scanned, values_of, &
     point_of, table_of, rounded, not_given
   use battery_scatterer_checks, only: check_scatterers
@@ -63,9 +63,11 @@ contains
   subroutine check_given(plan)
     type(plan_type), intent(inout) :: plan
 
-    if (is_given(plan%settings, 'largest_replicas') .and. &
-      .not. any(plan%precision > 0.0_wp)) call refuse_key(plan, 'largest_replicas', &
-      'is given without a precision', 'beside chi_replica_error or polarised_current_replica_error')
+    if (is_given(plan%settings, 'largest_replicas') .and. .not. (any(plan%precision > 0.0_wp) .or. &
+      is_refused(plan%settings, 'chi_replica_error') .or. &
+      is_refused(plan%settings, 'polarised_current_replica_error'))) &
+      call refuse_key(plan, 'largest_replicas', 'is given without a precision', &
+      'beside chi_replica_error or polarised_current_replica_error')
     if (plan%duration > 0.0_wp) then
       if (is_given(plan%settings, 'collisions')) call refuse_key(plan, 'collisions', &
         'is given beside duration', 'one of the two')
@@ -264,18 +266,22 @@ contains
     type(error_type), allocatable :: error
     type(point_type) :: point
     character(len=:), allocatable :: reason, allowed
-    logical :: outlines_valid
-    integer :: at
+    logical :: outlines_valid, lengths_known
+    integer :: at, k
 
     call new_engine(plan%engine, engine, error)
     if (allocated(engine)) engine%time_step = plan%time_step
     outlines_valid = has_valid_outlines(plan)
+    associate (all => plan%settings%all)
+      lengths_known = .not. any(all%given .and. .not. all%known .and. (all%key%name == 'urn_shape' &
+        .or. [(any(all(k)%key%place == [key_radius, key_width, key_length]), k=1, size(all))]))
+    end associate
     call move_alloc(plan%problems, others)
     allocate (plan%problems(0), plan%of_points%list(0))
     do at = 1, plan%point_count
       point = point_of(plan, at)
-      call check_point(plan, point, outlines_valid)
-      if (outlines_valid .and. size(others) + size(plan%problems) == 0) then
+      call check_point(plan, point, outlines_valid, lengths_known)
+      if (outlines_valid .and. lengths_known .and. size(others) + size(plan%problems) == 0) then
         call explain_refusal(engine, table_of(plan, point), reason, allowed)
         if (reason /= '') &
           call refuse_value(plan, 'engine', ''''//plan%engine//''' '//reason, allowed)
@@ -291,11 +297,11 @@ contains
   end subroutine check_points
 
   !> Checks one point: lengths, times, numbers of particles.
-  subroutine check_point(plan, point, outlines_valid)
+  subroutine check_point(plan, point, outlines_valid, lengths_known)
     type(plan_type), intent(inout) :: plan
     type(point_type), intent(in) :: point
-    !> Whether the outlines of its urns are valid.
-    logical, intent(in) :: outlines_valid
+    !> Whether the outlines of its urns are valid, and whether no length was refused.
+    logical, intent(in) :: outlines_valid, lengths_known
     real(wp) :: radii(2), longest
     integer :: before
 
@@ -303,10 +309,11 @@ contains
     radii = [minval(point%urn_radius), maxval(point%urn_radius)]
     if (plan%shape == 'urn') radii = point%urn_radius(1)
     longest = max(point%channel(channel1)%length, open_length(point))
-    call check_lengths(plan, point, radii, longest)
+    ! No length is judged beside one that is not known.
+    if (lengths_known) call check_lengths(plan, point, radii, longest)
     if (outlines_valid .and. size(plan%problems) == before) call check_outline_at(plan, point)
-    if (size(plan%problems) == before) call check_times(plan, radii(1), max(radii(2), &
-      longest))
+    if (lengths_known .and. size(plan%problems) == before) call check_times(plan, radii(1), &
+      max(radii(2), longest))
     if (point%number == 0 .or. size(plan%problems) > before .or. .not. outlines_valid) return
     if (.not. plan%duration > 0.0_wp .and. plan%transient_collisions > 0 .and. &
       plan%transient_collisions < plan%collisions .and. plan%collisions <= point%number) &

@@ -56,6 +56,7 @@ contains
     urn%area = pi*radius**2 - segment_area(channel1) - segment_area(channel2)
     urn%perimeter = radius*(2.0_wp*pi - 2.0_wp*angle(channel1) - 2.0_wp*angle(channel2))
     urn%reach = radius
+    urn%least_across = max(least_across, least_across*maxval(channel%length)/radius)
     urn%clear = radius
     urn%longest_step = radius
     urn%depth = urn%chord
@@ -314,10 +315,10 @@ contains
     if (abs(py) >= merge(urn%half_width(channel1), urn%half_width(channel2), px > 0.0_wp)) return
     ! By rounding, the point may seem to lie just inside a corner though the velocity points
     ! inwards, or along the chord.
-    if (px > 0.0_wp .and. ux > least_across) then
+    if (px > 0.0_wp .and. ux > urn%least_across) then
       next = meets_gate
       wait = min(max(urn%chord(channel1) - x, 0.0_wp)/max(ux, slowest), wait)
-    else if (px <= 0.0_wp .and. ux < -least_across) then
+    else if (px <= 0.0_wp .and. ux < -urn%least_across) then
       next = meets_channel2
       wait = min(max(x + urn%chord(channel2), 0.0_wp)/max(-ux, slowest), wait)
     end if

@@ -9,7 +9,6 @@
 module battery_disc_passages
   use battery_kinds, only: wp, int64, angle_kind
   use battery_channel, only: channel1, channel2
-  use battery_motion, only: least_across
   use battery_disc, only: urn_shape_type, recompute_grazing_incidence, grazing_cosine
   use battery_rotation, only: turn_of_vector, unit_vector, full_turn
   use battery_opening_search, only: find_opening
@@ -42,6 +41,9 @@ module battery_disc_passages
   !> An opening is nearly as wide as the urn if its chord is nearer to the centre than this, in
   !> units of the radius.
   real(wp), parameter :: near_centre = 0.1_wp
+
+  !> Below this component across, rounding moves the end of a visit visibly along its path.
+  real(wp), parameter :: nearly_along = 1.0e-3_wp
 
 contains
 
@@ -95,9 +97,10 @@ contains
     call find_exits(n, urn, visits%c, visits%s, visits%hit_x, visits%hit_y, visits%impacts, &
       visits%first, visits%channel, visits%x, visits%y, visits%u_axial, visits%u_lateral, &
       visits%length, visits%through)
-    if (.not. all_passages_end(visits%count, visits%u_axial, visits%impacts)) then
+    if (.not. all_passages_end(visits%count, urn%least_across, visits%u_axial, &
+      visits%impacts)) then
       do j = 1, visits%count
-        if (visits%u_axial(j) > least_across .and. visits%impacts(j) >= 0.0_wp) cycle
+        if (visits%u_axial(j) > urn%least_across .and. visits%impacts(j) >= 0.0_wp) cycle
         call repair_passage(urn, visits, j)
         if (any(visits%many_hits_index(:visits%many_hits_count) == j)) cycle
         visits%many_hits_count = visits%many_hits_count + 1
@@ -119,15 +122,15 @@ contains
   end subroutine number_slots
 
   !> Whether each visit ended in an opening, with a velocity that points outwards.
-  pure function all_passages_end(n, u_axial, impacts)
+  pure function all_passages_end(n, least, u_axial, impacts)
     integer, intent(in) :: n
-    real(wp), intent(in) :: u_axial(n), impacts(n)
+    real(wp), intent(in) :: least, u_axial(n), impacts(n)
     logical :: all_passages_end
     integer :: j, left
 
     left = 0
     do j = 1, n
-      left = left + merge(1, 0, u_axial(j) > least_across .and. impacts(j) >= 0.0_wp)
+      left = left + merge(1, 0, u_axial(j) > least .and. impacts(j) >= 0.0_wp)
     end do
     all_passages_end = left == n
   end function all_passages_end
@@ -442,6 +445,8 @@ contains
       y(j) = sign(min(abs(height), half_opening*inside), height)
       u_axial(j) = ux
       u_lateral(j) = uy
+      ! Rounding moves height and time alike.
+      back = back + merge((height - y(j))*uy, 0.0_wp, ux < nearly_along)
       length(j) = first(j) + 2.0_wp*radius*c(j)*impacts(j) - back
     end do
     if (min(chord1, chord2) < near_centre*radius) call find_wide_exits(n, urn, c, hit_x, hit_y, &
@@ -468,6 +473,7 @@ contains
       height = urn%reach*hit_y(j)*norm - back*u_lateral(j)
       y(j) = sign(min(abs(height), (1.0_wp - 2.0_wp*epsilon(1.0_wp))*urn%half_width(channel)), &
         height)
+      back = back + merge((height - y(j))*u_lateral(j), 0.0_wp, u_axial(j) < nearly_along)
       length(j) = first(j) + 2.0_wp*urn%reach*c(j)*impacts(j) - back
     end do
   end subroutine find_wide_exits
@@ -485,7 +491,7 @@ contains
     zx = (visits%s(j) - visits%c(j))*(visits%s(j) + visits%c(j))
     zy = 2.0_wp*visits%s(j)*visits%c(j)
     do tries = 1, 4
-      if (visits%impacts(j) < 0.0_wp .or. visits%u_axial(j) > least_across) exit
+      if (visits%impacts(j) < 0.0_wp .or. visits%u_axial(j) > urn%least_across) exit
       x = visits%hit_x(j)*zx - visits%hit_y(j)*zy
       y = visits%hit_x(j)*zy + visits%hit_y(j)*zx
       call search_opening(urn, visits, j, x, y, zx, zy, visits%impacts(j) + 1.0_wp)
@@ -493,7 +499,7 @@ contains
         visits%impacts(j:j), visits%first(j:j), visits%channel(j:j), visits%x(j:j), visits%y(j:j), &
         visits%u_axial(j:j), visits%u_lateral(j:j), visits%length(j:j), visits%through(j:j))
     end do
-    if (visits%impacts(j) >= 0.0_wp .and. visits%u_axial(j) > least_across) return
+    if (visits%impacts(j) >= 0.0_wp .and. visits%u_axial(j) > urn%least_across) return
     if (visits%impacts(j) < 0.0_wp) visits%impacts(j) = -1.0_wp - visits%impacts(j)
     visits%channel(j) = no_channel
     visits%y(j) = atan2(visits%hit_y(j), visits%hit_x(j))

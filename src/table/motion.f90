@@ -25,8 +25,9 @@ module battery_motion
   real(wp), parameter :: slowest = sqrt(tiny(1.0_wp))
 
   !> Who moves through an opening with a component across it not above this runs along it, up to
-  !> rounding (more of it in `synchronous`, where each event moves all particles): it does not enter
-  !> the channel, in which it would never come to an end.
+  !> rounding: it does not enter the channel, in which it would never come to an end. In a disc with
+  !> a long channel, times l/r: `synchronous` moves all particles in each event, with a rounding in
+  !> units of the table.
   real(wp), parameter :: least_across = 1.0e-12_wp
 
   !> State of a particle at its last event.

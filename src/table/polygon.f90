@@ -285,9 +285,6 @@ contains
       end if
       time = polygon%length_of(k)*((polygon%x(k) - x)*polygon%normal_x(k) &
         + (polygon%y(k) - y)*polygon%normal_y(k))/(after - before)
-      ! Who runs along an opening passes over it: within a channel it would never come to an end.
-      if (polygon%half_opening(k) > 0.0_wp .and. abs(after - before) <= least_across &
-        *polygon%length_of(k)) cycle
       if (abs(after - before) < polygon%tolerance) then
         first = ux*(polygon%x(k) - x) + uy*(polygon%y(k) - y)
         second = ux*(polygon%x(k + 1) - x) + uy*(polygon%y(k + 1) - y)
@@ -370,6 +367,8 @@ contains
     norm = 1.5_wp - 0.5_wp*(ux**2 + uy**2)
     ux = norm*ux
     uy = norm*uy
+    ! Who runs along an opening passes over it: within a channel it would never come to an end.
+    if (abs(ux) <= least_across) ux = 0.0_wp
   end subroutine reflect_from_side
 
   !> Finds the wall or opening `next` that a particle in the polygon, or at an opening, reaches, and

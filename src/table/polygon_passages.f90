@@ -11,7 +11,7 @@
 module battery_polygon_passages
   use battery_kinds, only: wp, int64
   use battery_channel, only: channel1, channel2
-  use battery_motion, only: slowest
+  use battery_motion, only: slowest, least_across
   use battery_polygon, only: urn_shape_type, polygon_type, nearest_side, boundary_state_type, &
     state_on_side, has_returned, find_next_side_robustly, reflect_from_side, longest_period
   use battery_visits, only: visits_type, group_size, no_channel, truncated, many_hits, &
@@ -409,6 +409,8 @@ contains
     kept_length = length
     same = .false.
     ending = truncated
+    ! As `reflect_from_side` leaves who runs along an opening.
+    if (abs(ux) <= least_across) ux = 0.0_wp
     do hits = 1, most_part_hits
       call find_next_side_robustly(urn%polygon, (side), x, y, ux, uy, side, wait)
       ! No side is found: treated as an orbit that recurs.

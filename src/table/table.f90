@@ -275,7 +275,8 @@ contains
     real(wp), intent(in) :: x, y, ux
 
     associate (urn => table%urn(urn_at(table, x)))
-      yes = x*ux < 0.0_wp .and. abs(ux) > least_across .and. abs(x) > urn%channel_start(channel1) &
+      yes = x*ux < 0.0_wp .and. abs(ux) > urn%least_across .and. abs(x) &
+        > urn%channel_start(channel1) &
         .and. nearest(abs(x), -1.0_wp) <= urn%channel_start(channel1) .and. abs(y) &
         <= urn%half_width(channel1)
     end associate
@@ -366,9 +367,9 @@ contains
       passage%trapped = .not. abs(ux)*min(longest_passage*urn%reach, &
         most_hits*channel%width) > channel%length
       ! Who moves along the chord is in the urn, also if the end of a run has put it beside it.
-      if (depth <= least_across*max(abs(x), urn%reach) .and. outward <= least_across .and. &
-        (passage%trapped .or. abs(ux) <= least_across)) then
-        if (abs(ux) <= least_across) passage%chord = passage%channel
+      if (depth <= least_across*max(abs(x), urn%reach) .and. outward <= urn%least_across .and. &
+        (passage%trapped .or. abs(ux) <= urn%least_across)) then
+        if (abs(ux) <= urn%least_across) passage%chord = passage%channel
         passage%trapped = .false.
         passage%chamber = in_urn
         passage%channel = no_channel

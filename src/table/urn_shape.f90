@@ -11,6 +11,7 @@
 module battery_urn_shape
   use battery_kinds, only: wp, int64, angle_kind, pi
   use battery_channel, only: channel_type, channel1, channel2, fold_into_channel
+  use battery_motion, only: least_across
   use battery_visits, only: visits_type, group_size
   implicit none (type, external)
   private
@@ -64,6 +65,8 @@ module battery_urn_shape
     !> A passage through the urn is at least as long as the depths of its two openings together,
     !> which may be the same opening.
     real(wp) :: depth(2) = 0.0_wp
+    !> Who moves through an opening with a component across it not above this runs along it.
+    real(wp) :: least_across = least_across
     !> Whether passages with very many hits are truncated (`truncated` of `battery_visits`).
     logical :: truncates_passages = .false.
     !> What only its shape has; the other is not set.

@@ -1,7 +1,8 @@
 /* A file system that lacks something: loaded before a program (LD_PRELOAD), it makes `flock`, and `fsync` of a
    folder or of a file that is open for reading only, fail with the error numbers in the variables NO_FLOCK,
    NO_FOLDER_SYNC and NO_SYNC_FOR_READING; with SIGNALS set, signals interrupt every second open, fsync, ftruncate
-   and close of journals and new results (a close is done). The call that NO_CALL
+   and close of journals and new results (a close is done); with NO_REMOVAL_OF_OPEN set, no file that is open is
+   removed, as in folders that a virtual machine shares with Windows. The call that NO_CALL
    names (read, pread64, close, opendir, readdir, stat, lstat, access, mkdir) with that in NO_CALL_WITH, from the
    NO_CALL_AFTER-th such call on, of paths that end with NO_CALL_OF; a renameat2 so named is done before. With
    HANGUP_HANDLER set, a handler of SIGHUP is there before the program begins, as UCX sets one. */
@@ -140,4 +141,15 @@ int mkdir(const char *path, mode_t mode) {
 int renameat2(int from, const char *old, int into, const char *new, unsigned int how) {
   int done = NEXT(int (*)(int, const char *, int, const char *, unsigned int), "renameat2")(from, old, into, new, how);
   return fails("renameat2", new) ? -1 : done;
+}
+
+int unlink(const char *path) {
+  struct stat named, opened;
+  if (number_in("NO_REMOVAL_OF_OPEN") != 0 && NEXT(int (*)(const char *, struct stat *), "stat")(path, &named) == 0)
+    for (int file = 3; file < 256; file++)
+      if (fstat(file, &opened) == 0 && opened.st_dev == named.st_dev && opened.st_ino == named.st_ino) {
+        errno = number_in("NO_REMOVAL_OF_OPEN");
+        return -1;
+      }
+  return NEXT(int (*)(const char *), "unlink")(path);
 }

@@ -24,7 +24,7 @@ module battery_timestep
   use battery_table, only: table_type, urn_type, channel1, channel2, no_channel, in_urn, in_gate, &
     in_channel2, x_direction, are_mirror_images
   use battery_channel, only: fold_into_channel, facing, is_open
-  use battery_motion, only: motion_type, least_across
+  use battery_motion, only: motion_type
   use battery_urn, only: contains_point, reflect_overshoot
   use battery_wall_by_wall, only: wall_by_wall_type, reset_counts, serialize_counts, end_instant, &
     count_hits, record_gate_entry, record_line_crossing, window_reaches
@@ -206,7 +206,7 @@ contains
       else if (x <= -urn%chord(channel2) .and. abs(y) < urn%half_width(channel2)) then
         opening = channel2
       end if
-      if (opening /= no_channel .and. abs(ux) <= least_across) return
+      if (opening /= no_channel .and. abs(ux) <= urn%least_across) return
       if (opening == channel1 .and. ux > 0.0_wp) then
         call change_chamber(self, i, in_gate, urn%half_width(channel1), (x - urn%chord(channel1)) &
           /ux)
