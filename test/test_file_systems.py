@@ -16,6 +16,7 @@ from support.program import (
     ROOT,
     assert_same,
     call_failing,
+    command_of,
     finish,
     kill_all,
     run,
@@ -28,7 +29,7 @@ LACKS = [("NO_FLOCK", number) for number in (errno.ENOLCK, errno.EOPNOTSUPP, ENO
 LACKS += [("NO_FOLDER_SYNC", number)
           for number in (errno.EINVAL, errno.ENOSYS, errno.EOPNOTSUPP, errno.EBADF)]  # fmt: skip
 LACKS += [("NO_SYNC_FOR_READING", errno.EACCES), ("SIGNALS", 1),
-          ("NO_REMOVAL_OF_OPEN", errno.ETXTBSY)]  # fmt: skip
+          ("NO_REMOVAL_OF_OPEN", errno.ETXTBSY), ("NO_REPLACEMENT", errno.EEXIST)]  # fmt: skip
 READ = "import postproc; print(int(postproc.open_results('out.h5')['chi'].count()))"
 
 
@@ -72,6 +73,14 @@ def test_a_file_system_that_lacks_a_call_is_as_good(
     write_case(CASE, tmp_path / "calm", scan={"replicas": 3})
     assert run("--quiet", "case.nml", folder=tmp_path / "calm").returncode == 0
     assert_same(tmp_path / "out.h5", tmp_path / "calm/out.h5")
+
+
+def test_a_user_whom_the_machine_does_not_know_runs_it(lacking: str, tmp_path: Path) -> None:
+    """As in containers; Open MPI 4 crashes there."""
+    write_case(CASE, tmp_path)
+    words = ["env", "-u", "HOME", f"LD_PRELOAD={lacking}", "NO_USER=1", *command_of("case.nml")]
+    ended = subprocess.run(words, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert (ended.returncode, ended.stderr) == (0, "")
 
 
 @pytest.mark.full

@@ -38,6 +38,10 @@ def test_every_namelist_of_ours_is_valid(schema: Draft202012Validator) -> None:
         schema.validate(read(path.read_text()))
 
 
+def test_what_f90nml_makes_of_an_index_is_valid(schema: Draft202012Validator) -> None:
+    schema.validate(read("&scan number(1:2) = 10, 20 /\n&run duration(1) = 5 /\n"))
+
+
 @pytest.mark.parametrize("ranges", [False, True])
 @pytest.mark.parametrize("value", VALUES)
 def test_the_schema_refuses_the_keys_that_the_program_refuses(

@@ -213,6 +213,10 @@ def test_no_gate_reverses_from_all_particles_on(name: str) -> None:
     assert one == far
     line = model.transition_line(Circuit(4, 10**9), 1, 10**9) if model.mixed else ([3.0], [])
     assert line[0][-1] == 3.0
+    # Nor where no integer of numpy is as large as a load.
+    long = replace(PAPER, number=2 * 10**8, threshold=2 * 10**8 + 1, channel1_width=1.0,
+                   channel1_length=1e12, channel2_width=0.0)  # fmt: skip
+    assert not model.mixed or describe(long, model)["homogeneous"] == "stable"
 
 
 def test_no_gate_is_felt_at_a_threshold_of_all_particles() -> None:

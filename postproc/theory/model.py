@@ -378,7 +378,8 @@ class Model:
 def _reachable(circuit: Circuit) -> dict[str, object]:
     """Return the thresholds of a circuit; from T = N on, when no gate reverses, beyond any load."""
     most = np.max([gate_load(side, circuit.number) for side in circuit.sides])
-    beyond = math.ceil(most + 40.0 * math.sqrt(most)) + 100  # the Poisson tail is 0 there
+    # The Poisson tail is 0 there. No integer of numpy is as large as some loads.
+    beyond = np.ceil(most + 40.0 * math.sqrt(most)) + 100.0
     names = ("threshold", "gate2_threshold")
     given = {name: getattr(circuit, name) for name in names}
     return {name: np.where(np.less(one, circuit.number), one, beyond)[()]

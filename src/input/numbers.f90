@@ -72,7 +72,7 @@ contains
     if (status /= 0 .or. abs(number) > huge(number)) then
       wrong = 'is not finite: the largest number is '//to_text(huge(number))
     else if (.not. abs(number) > 0.0_wp .and. scan(text(first:last), '123456789') > 0) then
-      wrong = 'is too near 0: the least number above 0 is '//to_text(tiny(number))
+      wrong = 'is too near 0: the least number above 0 is '//to_text(nearest(0.0_wp, 1.0_wp))
     end if
     if (wrong /= '') number = 0.0_wp
   end subroutine read_decimal

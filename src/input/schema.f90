@@ -14,6 +14,10 @@ module battery_schema
   character(len=*), parameter :: object = &
     '"type": "object", "additionalProperties": false, "properties": {'
 
+  !> What f90nml adds to a group in which a key has an index, as in `number(1:2) = 10, 20`.
+  character(len=*), parameter :: indices = &
+    '"patternProperties": {"^_start_index$": {"type": "object"}}, '
+
 contains
 
   !> Text of the schema: one line per key.
@@ -30,7 +34,7 @@ contains
     do at = 1, size(keys)
       associate (key => keys(at))
         if (all(keys(:at - 1)%group /= key%group)) &
-          text = text//nl//'  "'//trim(key%group)//'": {'//object
+          text = text//nl//'  "'//trim(key%group)//'": {'//indices//object
         ! A range has the bounds of the list before it.
         if (.not. key%is_range) bounds = bounds_text(key)
         text = text//nl//'    "'//trim(key%name)//'": {"description": "'//description(key)//'", ' &
@@ -67,7 +71,8 @@ contains
       if (key%is_range) then
         text = '"type": "array", "minItems": 3, "maxItems": 3, "prefixItems": [{'//one//'}, {' &
           //one//'}, {"type": "integer", "minimum": 1, "maximum": '//to_text(longest_range)//'}]'
-      else if (key%most_values > 1) then
+      else
+        ! With an index a single number is a list.
         text = '"anyOf": [{'//one//'}, {"type": "array", "minItems": 1, "maxItems": ' &
           //to_text(key%most_values)//', "items": {'//one//'}}]'
       end if

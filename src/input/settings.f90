@@ -361,8 +361,8 @@ contains
     wrong = ''
     if (.not. value%quoted) then
       wrong = 'is not a text in quotes'
-    else if (len(value%text) > longest_text) then
-      wrong = 'has '//to_text(len(value%text))//' letters, more than '//to_text(longest_text)
+    else if (len_trim(value%text) > longest_text) then
+      wrong = 'has '//to_text(len_trim(value%text))//' letters, more than '//to_text(longest_text)
     else if (has_control_sign(value%text)) then
       wrong = 'has a control character'
     else if (unseen_bytes_text(trim(value%text)) /= '') then

@@ -2,7 +2,8 @@
    folder or of a file that is open for reading only, fail with the error numbers in the variables NO_FLOCK,
    NO_FOLDER_SYNC and NO_SYNC_FOR_READING; with SIGNALS set, signals interrupt every second open, fsync, ftruncate
    and close of journals and new results (a close is done); with NO_REMOVAL_OF_OPEN set, no file that is open is
-   removed, as in folders that a virtual machine shares with Windows. The call that NO_CALL
+   removed, as in folders that a virtual machine shares with Windows; with NO_REPLACEMENT set, no rename replaces a
+   file; with NO_USER set, the machine does not know its users. The call that NO_CALL
    names (read, pread64, close, opendir, readdir, stat, lstat, access, mkdir) with that in NO_CALL_WITH, from the
    NO_CALL_AFTER-th such call on, of paths that end with NO_CALL_OF; a renameat2 so named is done before. With
    HANGUP_HANDLER set, a handler of SIGHUP is there before the program begins, as UCX sets one. */
@@ -11,6 +12,7 @@
 #include <dlfcn.h>
 #include <errno.h>
 #include <fcntl.h>
+#include <pwd.h>
 #include <signal.h>
 #include <stdarg.h>
 #include <stdio.h>
@@ -152,4 +154,17 @@ int unlink(const char *path) {
         return -1;
       }
   return NEXT(int (*)(const char *), "unlink")(path);
+}
+
+int rename(const char *old, const char *new) {
+  struct stat found;
+  if (number_in("NO_REPLACEMENT") != 0 && NEXT(int (*)(const char *, struct stat *), "lstat")(new, &found) == 0) {
+    errno = number_in("NO_REPLACEMENT");
+    return -1;
+  }
+  return NEXT(int (*)(const char *, const char *), "rename")(old, new);
+}
+
+struct passwd *getpwuid(uid_t user) {
+  return number_in("NO_USER") != 0 ? NULL : NEXT(struct passwd * (*)(uid_t), "getpwuid")(user);
 }
