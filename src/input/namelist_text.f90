@@ -161,7 +161,8 @@ contains
     key = lower_case(key)
     name = '&'//displayable_text(reader%group)//' '//displayable_text(key)
     if (key == '' .or. key == 'end') then
-      call add_form_finding(reader, 'a key was expected at: '//key//rest_of_line(reader) &
+      if (key == '') key = rest_of_line(reader)
+      call add_form_finding(reader, 'a key was expected at: '//key &
         //'; a group ends with / or &end', problems)
       call skip_to_group(reader)
       return
@@ -230,11 +231,12 @@ contains
     type(value_type), allocatable, intent(out) :: values(:)
     type(findings_type), intent(inout) :: problems
     type(value_type) :: value
-    integer :: repeats, count, line
+    integer :: repeats, count, line, last_line
     character(len=:), allocatable :: problem
     logical :: after_comma
 
     count = 0
+    last_line = reader%line
     after_comma = .true.
     do
       call skip_blanks(reader, .false.)
@@ -243,7 +245,8 @@ contains
       select case (next_sign(reader))
       case ('/')
         if (ends_group(reader)) exit
-        call add_mistake('a / within a text; texts are written in quotes')
+        call add_mistake('a / that ends a group has no text right after it; texts are written in ' &
+          //'quotes, comments begin with !')
         call skip_to_group(reader)
         exit
       case ('&')
@@ -257,8 +260,9 @@ contains
         reader%at = reader%at + 1
         cycle
       case default
-        if (key_follows(reader, count > 0)) exit
+        if (key_follows(reader, count > 0 .and. line > last_line)) exit
       end select
+      last_line = line
       call read_value(reader, value, repeats, problem)
       after_comma = .false.
       if (problem /= '') then
@@ -380,11 +384,11 @@ contains
     if (next(1:1) == '/') ends = scan(next(2:2), name_signs//'./~') == 0
   end function ends_group
 
-  !> Whether the next characters are a name and =, so that the values have ended. After a value, a
-  !> name and a number or a quote are a key that lacks its =.
-  logical function key_follows(reader, after_value) result(follows)
+  !> Whether the next characters are a name and =, so that the values have ended. In a line after
+  !> that of a value, a name and a number or a quote are a key that lacks its =.
+  logical function key_follows(reader, in_new_line) result(follows)
     type(reader_type), intent(in) :: reader
-    logical, intent(in) :: after_value
+    logical, intent(in) :: in_new_line
     type(reader_type) :: ahead
     character(len=:), allocatable :: name, rest
 
@@ -395,7 +399,7 @@ contains
     call read_before(ahead, verify(ahead%text(ahead%at:), name_signs), name)
     call skip_blanks(ahead, .false.)
     follows = next_sign(ahead) == '=' .or. name == 'end' &
-      .or. (after_value .and. scan(next_sign(ahead), '0123456789+-:"'//achar(39)) == 1)
+      .or. (in_new_line .and. scan(next_sign(ahead), '0123456789+-:"'//achar(39)) == 1)
     ! A value such as range(1, 9) is no key.
     rest = rest_of_line(ahead)
     if (next_sign(ahead) == '(') follows = index(adjustl(rest(index(rest, ')') + 1:)), '=') == 1

@@ -4,7 +4,7 @@ module battery_initial_state
   use battery_error, only: error_type, fatal_error, exit_bad_input
   use battery_foreign_bytes, only: text_start, foreign_byte_text
   use battery_numbers, only: read_decimal
-  use battery_findings, only: findings_type, finding_of, add_finding, findings_text, &
+  use battery_findings, only: finding_type, findings_type, finding_of, add_finding, findings_text, &
     displayable_text
   use battery_text, only: to_text, new_line_character
   use battery_table, only: table_type, passage_type, passage_at, channel1, chamber_at, &
@@ -100,10 +100,11 @@ contains
     type(particles_type), intent(out) :: particles
     type(error_type), allocatable, intent(out) :: error
     type(findings_type) :: findings
+    type(finding_type) :: no_numbers
     character(len=:), allocatable :: problem, before, foreign
     real(wp) :: state(4)
     integer(int64) :: first, line_start, last, next
-    integer :: line, count, head
+    integer :: line, count, head, further
 
     call allocate_particle_arrays(particles, number, error)
     if (allocated(error)) return
@@ -111,6 +112,7 @@ contains
     line = 0
     count = 0
     head = 0
+    further = 0
     before = ''
     foreign = ''
     do while (next <= len(text, int64))
@@ -137,8 +139,13 @@ contains
         foreign = foreign_byte_text(text(line_start:min(last, len(text, int64))))
         if (foreign /= '') problem = foreign
         ! All lines may have such a byte, so many columns, or a sign that is no part of a number.
-        if (problem /= before .and. .not. (index(problem, not_numbers) == 1 .and. index(before, &
-          not_numbers) == 1)) call add_finding(findings, finding_of(line, problem))
+        if (index(problem, not_numbers) == 1 .and. no_numbers%line > 0) then
+          further = further + 1
+        else if (index(problem, not_numbers) == 1) then
+          no_numbers = finding_of(line, problem)
+        else if (problem /= before) then
+          call add_finding(findings, finding_of(line, problem))
+        end if
         if (foreign /= '') exit
         before = problem
         ! It may be the names of columns.
@@ -152,6 +159,9 @@ contains
         particles%uy(count) = state(4)
       end if
     end do
+    if (further > 0) no_numbers%value = no_numbers%value//'; further such lines: ' &
+      //to_text(further)
+    if (no_numbers%line > 0) call add_finding(findings, no_numbers)
     if (foreign == '' .and. count /= number .and. count - head /= number) &
       call add_finding(findings, finding_of(0, 'has '//to_text(count)//' particles', &
       to_text(number)//', as &particles number says'))
