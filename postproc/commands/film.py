@@ -1,9 +1,10 @@
 """Makes a film of the circuit from the snapshots of a run.
 
 The film shows the table with its particles; a gate flashes when it reverses (if the run has an
-event log); below are chi and the net current of channel 2 against time (the current if the run has
-a series). Snapshots follow each other, as they are. MP4, or GIF with `--gif`. Its name begins with
-that of the results file, and has --point and --replica if they are given, as that of a figure.
+event log); below are chi and the net current of channel 2, from urn 2 to urn 1, against time (the
+current if the run has a series). Snapshots follow each other, as they are. MP4, or GIF with
+`--gif`. Its name begins with that of the results file, and has --point and --replica if they are
+given, as that of a figure.
 """
 
 from __future__ import annotations

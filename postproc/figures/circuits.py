@@ -29,6 +29,7 @@ from postproc.reading.points import (
     means,
     need_only,
     second_values,
+    with_first,
     with_tasks,
 )
 from postproc.theory.models import defaults
@@ -74,13 +75,14 @@ def title(points: xr.Dataset, at: int) -> str:
     """Return what distinguishes a point: the keys of the scan, or N, T, w and w'."""
     names = [name for name in keys_of(points) if name not in STARTS]
     names += ["start"] * (np.unique(points["start"]).size > 1)
-    names = [*(names or PARAMETERS), *second_values(points)]
+    names = with_first([*(names or PARAMETERS), *second_values(points)])
     return ", ".join(equals(name, float(points[name][at])) for name in names)
 
 
 def common(points: xr.Dataset) -> str:
     """Return N, T, w and w', and T and r of the other side, if they are the same at all points."""
-    values = {name: np.unique(points[name]) for name in (*PARAMETERS, *second_values(points))}
+    names = with_first([*PARAMETERS, *keys_of(points), *second_values(points)])
+    values = {name: np.unique(points[name]) for name in names}
     return ", ".join(equals(name, float(one[0])) for name, one in values.items() if one.size == 1)
 
 

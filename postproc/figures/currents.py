@@ -162,6 +162,7 @@ def draw_currents(
     panels[-1].set_xlabel("time $t$  (length / $v$)")
     panels[-1].set_ylabel("flow (per unit time)", y=0.5 if len(panels) == 1 else 1.0)
     if len(panels) > 1:
+        made.align_ylabels(panels)  # the one label of both is left of the numbers of both
         _break(*panels)
     return panels
 

@@ -140,19 +140,21 @@ class Stage:
         else:
             drawn = [abs(total - 2 * np.count_nonzero(one.x < 0.0)) / total
                      for one in scenes.snapshots]  # fmt: skip
-        shown, channel = [times[0], times[-1]], 1 if alone else 2
+        shown = [times[0], times[-1]]
+        # round the circuit, as in the figure of flows, or out of the single urn
+        ahead, back, name = ("1_12", "1_21", "1") if alone else ("2_21", "2_12", "2\nurn 2 → 1")
         if scenes.series is not None:
             inside = scenes.series.sel(time=slice(times[0], times[-1]))
             if inside.sizes["time"] > 2:
                 if not alone:
                     drawn = np.abs(total - 2.0 * inside["urn1_number"].values) / total
                     times = inside["time"].values
-                net = (inside[f"flow{channel}_12"] - inside[f"flow{channel}_21"]).values
+                net = (inside[f"flow{ahead}"] - inside[f"flow{back}"]).values
                 middle, mean, _ = binned(inside["middle"].values, net, 40)
                 right = below.twinx()
-                mean = mean * (np.sign(net[net.size // 2 :].mean()) or 1.0)
+                right.axhline(0.0, color=style.GREY, lw=0.5)
                 right.plot(middle, mean, color=style.ORANGE, lw=0.9)
-                right.set_ylabel(f"net current {channel}\n(per unit time)", color=style.ORANGE)
+                right.set_ylabel(f"net current {name}\n(per unit time)", color=style.ORANGE)
                 most = max(float(mean.max()), 1e-9)
                 right.set_ylim(min(0.0, 1.1 * float(mean.min())), 1.1 * most)
         below.plot(times, drawn, color=style.BLUE, lw=1.1)

@@ -5,9 +5,10 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
+from matplotlib.path import Path
 
 from postproc.figures import style
-from postproc.figures.scene import counted_by, draw_table, ways
+from postproc.figures.scene import counted_by, draw_table, walls, ways
 from postproc.reading.groups import Snapshot, snapshot_of
 from postproc.reading.points import task_of
 from postproc.theory.circuit import Circuit
@@ -18,6 +19,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 SHOWN = 40  # particles of a run that are drawn, at most
+ROOM = 2.5  # least radius with a name in the disc, in widths of that
 # wider than in the paper's runs, so that all lengths are visible
 EXAMPLE = Circuit(SHOWN, 7, channel1_width=0.5, channel1_length=1.2, channel2_width=0.2)
 URN = Circuit(SHOWN, 7, channel1_width=0.5, channel1_length=1.2, channel2_width=0.0, shape="urn")
@@ -38,18 +40,44 @@ def example_snapshot(circuit: Circuit, count: int = SHOWN, seed: int = 4) -> Sna
     return Snapshot(0.0, x[inside], y[inside], np.cos(angle), np.sin(angle))
 
 
-def _measure(
-    axes: Axes, ends: tuple[float, float], level: float, text: str, vertical: bool = False
-) -> None:
-    """Draw a double arrow between `ends` at `level` on the other axis, with its name."""
+def _measure(axes: Axes, ends: tuple[float, float], level: float, vertical: bool = False) -> None:
+    """Draw a double arrow between `ends` at `level` on the other axis."""
     start, stop = ((level, end) if vertical else (end, level) for end in ends)
     arrow = {"arrowstyle": "<->", "lw": 0.7, "shrinkA": 0, "shrinkB": 0}
     axes.annotate("", start, stop, arrowprops=arrow)
-    middle = 0.5 * (ends[0] + ends[1])
-    if vertical:
-        axes.text(level + 0.04, middle, text, ha="left", va="center")
-    else:
-        axes.text(middle, level - 0.05, text, ha="center", va="top")
+
+
+def _size(axes: Axes, text: str) -> tuple[float, float]:
+    """Return width and height of a text in the units of the axes."""
+    shown = axes.text(0.0, 0.0, text)
+    box = shown.get_window_extent().transformed(axes.transData.inverted())
+    shown.remove()
+    return box.width, box.height
+
+
+def _name(
+    axes: Axes, circuit: Circuit, ends: tuple[float, float], level: float, text: str, way: int
+) -> None:
+    """Name what lies between `ends`, the inner first, above (way = 1) or below (-1) a level.
+
+    A text that is wider goes on outwards. It stands where no wall and no other text is, with a line
+    to what it names if that is not at the level.
+    """
+    middle, side, others = 0.5 * (ends[0] + ends[1]), "center", [*axes.texts]
+    if middle != 0.0 and _size(axes, text)[0] > abs(ends[1] - ends[0]):
+        side = "left" if ends[1] > ends[0] else "right"
+    look = {"ha": side, "va": "baseline" if way > 0 else "top"}
+    shown = axes.text(middle if side == "center" else ends[0], level, text, **look)
+    taken = [one.get_window_extent() for one in others if one.get_text()]
+    lines = [Path(axes.transData.transform(one)) for one in walls(circuit)]
+    step, at = 0.25 * _size(axes, text)[1], level
+    while any(one.intersects_bbox(shown.get_window_extent(), filled=False) for one in lines) or any(
+        one.overlaps(shown.get_window_extent()) for one in taken
+    ):
+        at += way * step
+        shown.set_y(at)
+    if at != level:
+        axes.plot([middle] * 2, [level, at - way * step], color=style.BLACK, lw=0.5)
 
 
 def figure_circuit(points: xr.Dataset | None = None) -> Figure:
@@ -62,7 +90,6 @@ def figure_urn(points: xr.Dataset | None = None) -> Figure:
     return _figure(URN, points)
 
 
-@style.settings()
 def _figure(circuit: Circuit, points: xr.Dataset | None) -> Figure:
     if points is None:
         snapshot, said = example_snapshot(circuit), ""
@@ -73,6 +100,12 @@ def _figure(circuit: Circuit, points: xr.Dataset | None) -> Figure:
         parts = [part[::step] for part in (full.x, full.y, full.ux, full.uy)]
         snapshot = Snapshot(full.time, *parts)
         said = f"{parts[0].size} of {full.x.size} particles, $t = {full.time:g}$"
+    return picture_of(circuit, snapshot, said)
+
+
+@style.settings()
+def picture_of(circuit: Circuit, snapshot: Snapshot, said: str = "") -> Figure:
+    """Return the table of a circuit with its lengths, the particles of a snapshot and a remark."""
     made = style.figure(style.PAGE if circuit.shape == "circuit" else style.COLUMN * 1.2, 2.9)
     made.set_layout_engine("none")  # the labels are outside of the axes
     axes = made.add_axes((0.03, 0.02, 0.94, 0.94))
@@ -91,46 +124,83 @@ def _figure(circuit: Circuit, points: xr.Dataset | None) -> Figure:
         zorder=3,
         clip_on=False,
     )
-    _name_lengths(axes, circuit)
+    with style.measured(made):
+        _name_lengths(axes, circuit)
     return made
 
 
 def _name_lengths(axes: Axes, circuit: Circuit) -> None:
+    """Name urns, gates and lengths; two halves that have no room for a name have one together."""
     half1, reach = 0.5 * circuit.channel1_width, 0.5 * circuit.channel1_length
-    for number, (way, side) in enumerate(ways(circuit), start=1):
-        radius = side.urn_radius
-        ends = sorted((way * reach, 0.0))
-        _measure(axes, ends, -half1 - 0.1 * radius, r"$\ell/2$")
-        axes.text(way * 0.5 * reach, half1 + 0.06 * radius, f"gate {number}", ha="center")
+    alone, sides = circuit.shape != "circuit", ways(circuit)
+    if alone:
+        axes.set_xlim(right=0.45 * circuit.urn_radius)
+    axes.apply_aspect()  # or texts cannot be compared with lengths
+    # Distances of names are shares of this: of the radius, unless that is small in the picture.
+    unit = max(4.0 * _size(axes, "$w$")[1], *(float(side.urn_radius) for _, side in sides))
+    above, below = half1 + 0.06 * unit, -half1 - 0.1 * unit
+    for number, (way, side) in enumerate(sides, start=1):
+        radius, centre = float(side.urn_radius), way * float(side.urn_centre)
         top = radius if side.outline is None else max(y for _, y in side.outline)
-        axes.text(way * side.urn_centre, top + 0.06 * radius, f"urn {number}", ha="center")
-        if circuit.channel2_width > 0.0:
-            start, under = side.urn_centre + side.chords[1], -0.5 * circuit.channel2_width
-            _measure(axes, (way * start, way * side.end), under - 0.1 * radius, r"$\ell'/2$")
-    if circuit.shape == "circuit":
-        _measure(axes, (-half1, half1), 0.6 * reach, "$w$", vertical=True)
+        name = f"urn {number}" + _name_radius(axes, circuit, number)
+        _name(axes, circuit, (centre - way * radius, centre + way * radius), top + 0.06 * unit,
+              name, 1)  # fmt: skip
+    if alone or _size(axes, "gate 1")[0] < reach:
+        for number, (way, _) in enumerate(sides, start=1):
+            _name(axes, circuit, (0.0, way * reach), above, f"gate {number}", 1)
     else:
-        _measure(axes, (-half1, half1), 0.1 * radius, "$w$", vertical=True)
+        _name(axes, circuit, (-reach, reach), above, "gates 1, 2", 1)
+    halves = alone or _size(axes, r"$\ell/2$")[0] < reach
+    for ends in [(0.0, way * reach) for way, _ in sides] if halves else [(-reach, reach)]:
+        _measure(axes, ends, below)
+        _name(axes, circuit, ends, below - 0.05 * unit, r"$\ell/2$" if halves else r"$\ell$", -1)
+    for way, side in sides if circuit.channel2_width > 0.0 else ():
+        ends = way * float(side.urn_centre + side.chords[1]), way * float(side.end)
+        level = -0.5 * circuit.channel2_width - 0.1 * unit
+        _measure(axes, ends, level)
+        _name(axes, circuit, ends, level - 0.05 * unit, r"$\ell'/2$", -1)
+    _name_width(axes, circuit, unit)
+    if alone:
         look = {"ha": "center", "va": "center", "rotation": 90}
-        axes.text(0.34 * radius, 0.0, "end wall", **look)
-        axes.set_xlim(right=0.45 * radius)
-    if circuit.outline is None:
-        _name_radii(axes, circuit)
+        axes.text(0.34 * circuit.urn_radius, 0.0, "end wall", **look)
     if circuit.channel2_width > 0.0:
-        axes.text(side.end + 0.06, 0.0, "$w'$", va="center")
+        axes.text(sides[-1][1].end + 0.06 * unit, 0.0, "$w'$", va="center")
 
 
-def _name_radii(axes: Axes, circuit: Circuit) -> None:
-    """Name r at the last urn, or that of each if they differ."""
+def _name_width(axes: Axes, circuit: Circuit, unit: float) -> None:
+    """Name w, within gate 2 if it has room; where walls would cross the name, it is outside."""
+    half1, reach = 0.5 * circuit.channel1_width, 0.5 * circuit.channel1_length
+    (width, height), gap, level = _size(axes, "$w$"), 0.04 * unit, 0.1 * unit
+    free, crossed = 0.0, False
+    if circuit.shape == "circuit":
+        free = reach - gap - width  # for the arrow, with its name within the gate
+        crossed = 0.5 * height > circuit.channel1_width
+        level = (0.8 if crossed else 0.6) * reach
+        level = min(level, free) if free > 0.0 else level
+    _measure(axes, (-half1, half1), level, vertical=True)
+    if crossed and free > 0.0:
+        _name(axes, circuit, (level - width, level + width), half1 + 0.06 * unit, "$w$", 1)
+    else:
+        axes.text((reach if crossed else level) + gap, 0.0, "$w$", ha="left", va="center")
+
+
+def _name_radius(axes: Axes, circuit: Circuit, number: int) -> str:
+    """Name the radius of a disc in it, if they are equal in the last one; "": it is named.
+
+    Where there is no room in the disc, return what its own name has to say of the radius.
+    """
     sides = ways(circuit)
     alike = len({float(side.urn_radius) for _, side in sides}) == 1
-    for number, (way, side) in enumerate(sides, start=1):
-        if alike and number < len(sides):
-            continue
-        radius, last = side.urn_radius, way * float(side.urn_centre)
-        angle = np.radians(130.0)
-        tip = (last - radius * np.cos(angle), radius * np.sin(angle))
-        arrow = {"arrowstyle": "->", "lw": 0.7, "shrinkA": 0, "shrinkB": 0}
-        axes.annotate("", tip, (last, 0.0), arrowprops=arrow)
-        name = "$r$" if alike else f"$r_{number}$"
-        axes.text(last + 0.42 * radius, 0.36 * radius, name, ha="left")
+    if circuit.outline is not None or (alike and number < len(sides)):
+        return ""
+    way, side = sides[number - 1]
+    radius, last = float(side.urn_radius), way * float(side.urn_centre)
+    name = "$r$" if alike else f"$r_{number}$"
+    if radius < ROOM * max(_size(axes, name)):
+        return f", {name}"
+    angle = np.radians(130.0)
+    tip = (last - radius * np.cos(angle), radius * np.sin(angle))
+    arrow = {"arrowstyle": "->", "lw": 0.7, "shrinkA": 0, "shrinkB": 0}
+    axes.annotate("", tip, (last, 0.0), arrowprops=arrow)
+    axes.text(last + 0.42 * radius, 0.36 * radius, name, ha="left")
+    return ""

@@ -49,7 +49,7 @@ SYMBOLS = {
 }  # fmt: skip
 LOOKS = {
     "chi": (r"mass spread $\chi$", {"vmin": 0.0, "vmax": 1.0, "cmap": "viridis"}),
-    "polarised_current": ("polarised current (per unit time)", {"vmin": 0.0, "cmap": "magma"}),
+    "polarised_current": ("polarised current (per unit time)", {"cmap": "magma"}),
 }
 
 
@@ -162,6 +162,15 @@ def of_theory(points: xr.Dataset, keys: Keys, models: Sequence[Model]) -> tuple[
     return transition_lines(points, models), tricritical_places(circuit, models)
 
 
+def colours_of(currents: Floats) -> tuple[float, float]:
+    """Return the ends of the colours of currents, between which 0 and all of them lie.
+
+    Along the polarity a current is negative where the fuller urn is the larger and thinner one.
+    """
+    low, high = (float(end.reduce(np.ravel(currents), initial=0.0)) for end in (np.fmin, np.fmax))
+    return (low, high) if low < high else (0.0, 1.0)  # as without channel 2
+
+
 def draw_map(
     axes: Axes, points: xr.Dataset, keys: Keys, shown: pd.DataFrame, look: dict[str, object]
 ) -> QuadMesh:
@@ -206,6 +215,8 @@ def values_of(points: xr.Dataset, name: str) -> tuple[Floats, str, dict[str, obj
             f"{files_of(points)}: no point has a mean of {name!r}; there is none of the current "
             "without channel 2, of chi in the single urn, and of replicas in two states"
         )
+    if name == "polarised_current":
+        look = look | dict(zip(("vmin", "vmax"), colours_of(values), strict=True))
     return values, label, dict(look)
 
 
@@ -222,8 +233,8 @@ def figure_phase_diagram(points: xr.Dataset, models: Sequence[Model] = ()) -> Fi
     lines, marks = of_theory(points, keys, models)
     starts = [(name, {one: map_of(part, keys, means(part, one)[0]) for one in LOOKS})
               for name, part in by_start(points)]  # fmt: skip
-    # no current without channel 2
-    currents = max(0.0, *(one["polarised_current"].max(axis=None) for _, one in starts)) or 1.0
+    low, high = colours_of(np.concatenate([one["polarised_current"].values.ravel()
+                                           for _, one in starts]))  # fmt: skip
     rows = list(starts)
     if len(starts) == 2:
         (name, one), (other_name, other) = starts
@@ -238,7 +249,7 @@ def figure_phase_diagram(points: xr.Dataset, models: Sequence[Model] = ()) -> Fi
             if row == len(starts):
                 most = max(1e-9, shown.abs().max(axis=None))
                 look = {"vmin": -most, "vmax": most, "cmap": "PuOr"}
-            mesh = draw_map(axes, points, keys, shown, {"vmax": currents, **look})
+            mesh = draw_map(axes, points, keys, shown, {"vmin": low, "vmax": high, **look})
             draw_lines(axes, lines, marks)
             made.colorbar(mesh, ax=axes, pad=0.02)
             axes.set_title(f"{label}\n{name}")

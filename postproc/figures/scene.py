@@ -209,10 +209,22 @@ def picture_of(circuit: Circuit, snapshot: Snapshot) -> Figure:
         title += f"    $N_1 = {in_first}$    $N_2 = {total - in_first}$    $\\chi = {spread:.3f}$"
     whole.set_title(title, loc="center")
     _draw_channel(channel, circuit, snapshot)
-    counted = counted_by(circuit, snapshot)
-    for gate, (_, side) in enumerate(ways(circuit), start=1):
-        text = f"gate {gate}: {np.count_nonzero(counted == gate)} counted, $T = {side.threshold}$"
-        channel.set_title(text, loc=("left", "right")[gate - 1], fontsize=8)
     look = {"ncols": 4, "handletextpad": 0.2}
     made.legend(*whole.get_legend_handles_labels(), loc="outside lower center", **look)
+    _name_gates(channel, circuit, counted_by(circuit, snapshot))
     return made
+
+
+def _name_gates(axes: Axes, circuit: Circuit, counted: NDArray[np.int_]) -> None:
+    """Write above the enlarged channel what each gate counts, in two lines if it is short."""
+    texts = [f"gate {gate}: {np.count_nonzero(counted == gate)} counted, $T = {side.threshold}$"
+             for gate, (_, side) in enumerate(ways(circuit), start=1)]  # fmt: skip
+    titles = [axes.set_title(text, loc=place, fontsize=8)
+              for text, place in zip(texts, ("left", "right"), strict=False)]  # fmt: skip
+    with style.measured(axes.figure) as made:
+        made.draw_without_rendering()
+        boxes = [one.get_window_extent() for one in titles]
+    if boxes[0].x1 + 0.5 * boxes[0].height > boxes[-1].x0 and len(boxes) > 1:
+        for one in titles:
+            one.set_text("")
+        axes.set_title("\n".join(texts), loc="center", fontsize=8)

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import io
 import logging
+from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
 import matplotlib as mpl
@@ -19,7 +20,7 @@ from matplotlib.ticker import MaxNLocator
 from postproc.cli import MARK, file_to_write, output_folder, replaced
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Iterable, Iterator, Sequence
     from contextlib import AbstractContextManager
     from pathlib import Path
 
@@ -107,17 +108,21 @@ def label_fraction(axes: Axes) -> None:
     axes.xaxis.set_major_locator(MaxNLocator(5))
 
 
+@contextmanager
+def measured(made: Figure) -> Iterator[Figure]:
+    """Give a figure the resolution of the PNG, on which the widths of letters depend."""
+    resolution = made.dpi
+    made.set_dpi(RESOLUTION)
+    yield made
+    made.set_dpi(resolution)
+
+
 def legend_above(
     made: Figure, handles: Sequence[Artist], labels: Sequence[str], columns: int, **look: object
 ) -> None:
-    """Put a legend above the panels, in at most that many columns, so that it is not cut.
-
-    It is measured at the resolution of the PNG: the widths of letters depend on it.
-    """
-    resolution = made.dpi
-    made.set_dpi(RESOLUTION)
-    _fitted_legend(made, handles, labels, columns, loc="outside upper center", **look)
-    made.set_dpi(resolution)
+    """Put a legend above the panels, in at most that many columns, so that it is not cut."""
+    with measured(made):
+        _fitted_legend(made, handles, labels, columns, loc="outside upper center", **look)
 
 
 def legend_below(axes: Axes, columns: int, **look: object) -> None:

@@ -203,6 +203,18 @@ def second_values(points: xr.Dataset) -> dict[str, NDArray[np.generic]]:
             and not np.array_equal(points[second], points[first])}  # fmt: skip
 
 
+def with_first(names: list[str]) -> list[str]:
+    """Return names of parameters, before that of gate 2 or urn 2 alone that of 1.
+
+    Beside it alone T or r of the other side would be taken for that of the default.
+    """
+    found = list(names)
+    for second, first in PAIRS.items():
+        if second in found and first not in found:
+            found.insert(found.index(second), first)
+    return found
+
+
 def groups(points: xr.Dataset, *keys: str) -> Iterator[tuple[dict[str, float], xr.Dataset]]:
     """Iterate over the values of parameters, and the points that have them."""
     if not keys:

@@ -24,7 +24,7 @@ from postproc.figures.maps import (
 )
 from postproc.reading.grid import groups_in
 from postproc.reading.groups import each_series
-from postproc.reading.points import current_name, groups, keys_of, second_values
+from postproc.reading.points import current_name, groups, keys_of, second_values, with_first
 from postproc.reading.table import table
 
 if TYPE_CHECKING:
@@ -53,13 +53,13 @@ ROOM = 250_000  # samples of all series together
 class Scan:
     """The scan of a run: its keys, with the value at each point, and those along axes, or "".
 
-    `second_values` are those of gate 2 and urn 2 where they differ from those of 1.
+    `unequal` are the values of gates and urns that differ from each other, unless they are keys.
     """
 
     keys: Columns
     across: str
     up: str
-    second_values: Columns
+    unequal: Columns
 
     @property
     def others(self) -> list[str]:
@@ -72,7 +72,9 @@ def scanned(points: xr.Dataset) -> Scan:
     keys = keys_of(points)
     across, up = axes_of(list(keys))
     shown = {name: places(points, name) for name in keys}
-    return Scan(shown, across or next(iter(keys), ""), up, second_values(points))  # starts alone
+    names = with_first([*keys, *second_values(points)])
+    unequal = {name: points[name].values for name in names if name not in keys}
+    return Scan(shown, across or next(iter(keys), ""), up, unequal)  # starts alone
 
 
 def label(name: str) -> str:
@@ -88,7 +90,7 @@ def rounded(values: Floats, digits: int = 5) -> Floats:
 def points_of(points: xr.Dataset, scan: Scan, models: dict[str, Model]) -> Columns:
     """Return the columns of the points: keys, measured values and errors, theory, their text."""
     columns = {name: values if values.dtype.kind == "i" else rounded(values)
-               for name, values in (scan.keys | scan.second_values).items()}  # fmt: skip
+               for name, values in (scan.keys | scan.unequal).items()}  # fmt: skip
     columns["start"], found = rounded(points["start"].values), table(points, theory=list(models))
     for name, source in (("chi", "chi"), ("current", current_name(points))):
         columns[name] = rounded(found[source])
@@ -119,7 +121,7 @@ def points_of(points: xr.Dataset, scan: Scan, models: dict[str, Model]) -> Colum
 def _summary(scan: Scan, columns: Columns, at: int, *, apart: bool) -> str:
     """Return the line about a point: its keys and measured values, or that replicas are apart."""
     place = [f"{SYMBOLS.get(name, name)} = {columns[name][at]:.5g}"
-             for name in scan.keys | scan.second_values]  # fmt: skip
+             for name in scan.keys | scan.unequal]  # fmt: skip
     known = ((name, columns[name][at], columns[f"{name}_error"][at]) for name in MEASURED)
     found = [f"{name} {with_error(*values, ' (error not known)')}"
              for name, *values in known if math.isfinite(values[0])]  # fmt: skip

@@ -41,9 +41,10 @@ from bokeh.resources import Resources
 
 from postproc.cli import MARK
 from postproc.figures import style
+from postproc.figures.maps import colours_of
 from postproc.figures.scene import draw_table
 from postproc.figures.style import CYCLE
-from postproc.reading.points import of_files, second_values, with_tasks
+from postproc.reading.points import keys_of, of_files, second_values, with_first, with_tasks
 from postproc.reporting import data
 from postproc.reporting.warn import explanations, warnings
 from postproc.theory.models import left_out
@@ -227,10 +228,9 @@ class Page:
             y_range=(self.columns["bottom"].min(), self.columns["top"].max()),
         )
         values = self.columns[f"{name}{error}"]
-        finite = values[np.isfinite(values)]
-        top = 1.0 if name == "chi" and not error else max(finite.max(initial=0.0), 1e-12)
+        low, high = (0.0, 1.0) if name == "chi" and not error else colours_of(values)
         mapper = LinearColorMapper(
-            palette=ERRORS if error else PALETTES[name], low=0.0, high=top, nan_color="#d0d0d0"
+            palette=ERRORS if error else PALETTES[name], low=low, high=high, nan_color="#d0d0d0"
         )
         outline = {"line_color": "white", "line_width": 3}
         cells = made.quad(
@@ -297,7 +297,7 @@ class Page:
 
     def table(self) -> DataTable:
         """Return the table of all points, which sorts."""
-        heads = {name: data.label(name) for name in self.scan.keys | self.scan.second_values}
+        heads = {name: data.label(name) for name in self.scan.keys | self.scan.unequal}
         if not self.urn:
             heads["start"] = "start chi"
         for name in self.measured:
@@ -453,12 +453,14 @@ def _picture(circuit: Circuit) -> str:
 
 def _about(points: xr.Dataset) -> str:
     """Return what all points have in common: parameters, replicas, the length of runs."""
-    columns = {name: points[name].values for name in SHOWN} | second_values(points)
+    names = with_first([*SHOWN, *keys_of(points), *second_values(points)])
+    columns = {name: points[name].values for name in names}
     if points.attrs.get("shape") != "urn":
         columns["chi at the start"] = points["start"].values
     told = [f"{data.SYMBOLS.get(name, name)} = {values[0]:.5g}"
             for name, values in columns.items() if np.unique(values).size == 1]  # fmt: skip
-    told.append(f"{_from_to(points['asked'].sum('replica').values)} replicas")
+    replicas = _from_to(points["asked"].sum("replica").values)
+    told.append(f"{replicas} {'replica' if replicas == '1' else 'replicas'}")
     if "time" in points:
         time = points["time"].values[points["complete"].values]
         told.append(f"runs of {_from_to(time)} time units")

@@ -9,9 +9,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
+from matplotlib.path import Path as Polyline
 
-from postproc.figures import appendix, circuits, currents, lengths, maps, style, theories
-from postproc.reading.groups import series_of
+from postproc.figures import appendix, circuits, currents, lengths, maps, scene, style, theories
+from postproc.reading.groups import Snapshot, series_of
 from postproc.reading.points import means
 from postproc.tests.commands import call
 from postproc.tests.runs import BARE, edited, leave_out, points_of, results_of
@@ -95,6 +96,38 @@ def test_model_names_the_lengths_and_shows_particles_of_a_run(folder: Path) -> N
         assert axes.collections[0].get_offsets().shape == (lengths.SHOWN, 2)
         walls = np.concatenate([line.get_xdata() for line in axes.lines])
         assert np.abs(walls).max() == pytest.approx(float(table.end))
+
+
+@pytest.mark.parametrize(
+    "given",
+    [
+        {"channel1_length": 1.0, "channel2_length": 3.0},
+        {"channel1_length": 0.3, "channel2_length": 6.0},
+        {"channel1_length": 0.05, "channel2_length": 0.1, "channel1_width": 0.1},
+        {"urn_radius": 3.0, "urn2_radius": 0.2, "channel2_width": 0.05},
+        {"urn_radius": 0.2, "urn2_radius": 3.0, "channel1_length": 0.3},
+        {"channel2_length": 60.0},
+    ],
+)
+def test_names_of_lengths_of_any_table_are_read(given: dict[str, float]) -> None:
+    circuit = Circuit(20, 1, **{"channel2_width": 0.1} | given)
+    made = lengths.picture_of(circuit, Snapshot(0.0, *np.zeros((4, 1))))
+    made.set_dpi(style.RESOLUTION)
+    made.draw_without_rendering()
+    texts = [one for one in made.axes[0].texts if one.get_text()]
+    boxes = [one.get_window_extent() for one in texts]
+    said = " ".join(one.get_text() for one in texts)
+    for name in ("gate", "1", "2", "urn 1", "urn 2", r"\ell", r"\ell'", "$w$", "$w'$", "r"):
+        assert name in said
+    walls = [made.axes[0].transData.transform(one) for one in scene.walls(circuit)]
+    for at, (text, box) in enumerate(zip(texts, boxes, strict=True)):
+        assert made.bbox.x0 <= box.x0 < box.x1 <= made.bbox.x1
+        hit = [one.get_text() for one, other in zip(texts[:at], boxes, strict=False)
+               if box.overlaps(other)]  # fmt: skip
+        assert not hit, text.get_text()
+        # w is beside its arrow, which may be nearly as wide as the channel.
+        if text.get_text() != "$w$":
+            assert not any(Polyline(one).intersects_bbox(box, filled=False) for one in walls)
 
 
 def test_comp05_has_a_panel_a_threshold(folder: Path) -> None:

@@ -115,6 +115,22 @@ def test_currents_show_the_series_the_theory_and_eta(run_file: Path) -> None:
     assert reached in [line.get_xdata()[0] for line in marked if len(line.get_xdata())]
 
 
+def test_the_label_of_flows_stands_beside_their_smallest_numbers(run_file: Path) -> None:
+    points = points_of(run_file).isel(point=[0])
+    (series,), circuit = series_of(points, 0, 0), points["circuit"].values[0]
+    few = {name: 1e-9 * series[name] for name in currents.FLOW_LOOK}
+    few["flow1_12"] = few["flow1_12"] + 5.06e-4
+    made = style.figure(4.6, 5.4)
+    cell = made.add_gridspec(1, 1)[0]
+    upper, lower = currents.draw_currents(made, cell, circuit, series.assign(few), (), 500.0)
+    made.draw_without_rendering()
+    label = lower.yaxis.label.get_window_extent()
+    for axes in (upper, lower):
+        ticks = [one.get_window_extent() for one in axes.get_yticklabels() if one.get_text()]
+        assert ticks
+        assert not any(label.overlaps(one) for one in ticks)
+
+
 def test_theory_has_the_colour_of_what_it_is_meant_for(run_file: Path) -> None:
     results = points_of(run_file)
     made = circuits.figure_flows(results.isel(point=[0], replica=[1]), theories.named(["window"]))
@@ -158,6 +174,20 @@ def test_scene_shows_every_particle_and_counts_those_in_the_gates(run_file: Path
     named = [text.get_text() for text in made.legends[0].get_texts()]
     assert named == [part.get_label() for part in whole.collections[:4]]
     assert "half 1" in named
+
+
+def test_counts_of_both_gates_of_a_short_channel_are_read() -> None:
+    resting = Snapshot(0.0, *np.zeros((4, 1)))
+    for length, lines in ((1.0, 1), (0.3, 2)):
+        made = picture_of(Circuit(20, 1, channel1_length=length, channel2_width=0.1), resting)
+        made.set_dpi(style.RESOLUTION)
+        made.draw_without_rendering()
+        texts = [one for one in made.axes[1].get_children() if getattr(one, "get_text", str)()]
+        told = "\n".join(one.get_text() for one in texts).split("\n")
+        assert told == [f"gate {gate}: 0 counted, $T = 1$" for gate in (1, 2)]
+        assert len(texts) == 3 - lines
+        boxes = [one.get_window_extent() for one in texts]
+        assert not boxes[0].overlaps(boxes[-1]) or lines == 2
 
 
 def _one_line(command: list[str], path: Path, capsys: pytest.CaptureFixture[str]) -> str:

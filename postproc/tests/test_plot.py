@@ -14,6 +14,7 @@ import matplotlib as mpl
 import numpy as np
 import pytest
 import xarray as xr
+from bokeh.models import LinearColorMapper
 from matplotlib.axes import Axes
 from matplotlib.collections import PathCollection, QuadMesh
 from matplotlib.container import ErrorbarContainer
@@ -29,6 +30,7 @@ from postproc.reading import results_file
 from postproc.reading.grid import selected
 from postproc.reading.points import by_point, exactly
 from postproc.reporting import data as columns_of
+from postproc.reporting.page import Page
 from postproc.tests.commands import call
 from postproc.tests.runs import BARE, edited, leave_out, points_of, results_of
 from postproc.theory.models import MODELS
@@ -219,6 +221,29 @@ def test_a_map_is_of_two_keys_and_has_the_lines_that_are_asked_for(
     assert plot.phase_diagram(other, ax=Figure().add_subplot()).get_array().count() == 4
     with pytest.raises(InputError, match="theories have lines over threshold and channel2_width"):
         plot.phase_diagram(other, ax=Figure().add_subplot(), theory="window")
+
+
+def test_a_negative_current_has_a_colour_of_its_own(tmp_path: Path) -> None:
+    """From the fuller urn, which is the larger and thinner one, more return than come."""
+    path = results_of(
+        tmp_path / "negative.h5", table={"urn_radius": [3.0, 1.0]}, output=BARE,
+        particles={"number": 200, "urn1_number": 180}, gate={"threshold": [200, 2]},
+        scan={"threshold": None, "channel1_width": [0.2, 0.4], "channel2_width": [0.2, 0.4]},
+    )  # fmt: skip
+    data = postproc.open_results(path)
+    current = data["polarised_current"].mean("replica")
+    assert float(current.max()) < 0.0
+    for more in (0.0, -current.min(), -current.mean()):  # all below 0, all above, both
+        given = data.assign(polarised_current=data["polarised_current"] + more)
+        points, shown = by_point(given), (current + more).values
+        ends = pytest.approx((min(0.0, shown.min()), max(0.0, shown.max())), rel=1e-3, abs=1e-9)
+        alone = plot.phase_diagram(given, Figure().add_subplot(), variable="polarised_current")
+        beside_chi = maps.figure_phase_diagram(points).axes[1].collections[0]
+        assert (alone.get_clim(), beside_chi.get_clim()) == (ends, ends)
+        scan = columns_of.scanned(points)
+        drawn = Page(points, scan, {}, columns_of.points_of(points, scan, {})).panels()[1]
+        mapper = drawn.select_one(LinearColorMapper)
+        assert (mapper.low, mapper.high) == ends
 
 
 @pytest.fixture

@@ -19,8 +19,9 @@ from selenium.webdriver.support.ui import WebDriverWait
 
 import postproc
 from postproc.cli import InputError
-from postproc.figures import film
+from postproc.figures import circuits, film
 from postproc.figures.circuits import polarised_current_of
+from postproc.figures.currents import binned
 from postproc.reading.groups import Snapshot, each_series, series_of
 from postproc.reading.points import by_point, means, remark
 from postproc.reporting import data, report, warn
@@ -157,6 +158,26 @@ def test_a_point_has_both_values_of_pairs_in_its_namelist_and_its_line(tmp_path:
     assert [line.partition(":")[0] for line in columns["told"][1:3]] == [
         "T = 1, r = 2, T2 = 3", "T = 2, r = 1, T2 = 2"
     ]  # fmt: skip
+
+
+def test_where_r_of_urn_2_is_named_that_of_urn_1_is(tmp_path: Path) -> None:
+    for radii, scan in (
+        ([3.0, 1.0], {}),
+        (None, {"urn_radius": [3.0, 3.0], "urn_radius2": [1.0, 2.0]}),
+    ):
+        path = results_of(
+            tmp_path / f"{len(scan)}.h5", particles={"number": 20}, gate={"threshold": [9, 2]},
+            table={"urn_radius": radii}, run={"duration": 5.0}, output=BARE,
+            scan={"threshold": None, "channel1_width": [0.2, 0.3], "replicas": 1, **scan},
+        )  # fmt: skip
+        points, text = points_of(path), report(path, tmp_path / "page.html").read_text()
+        (head,) = re.findall("N = 20,.*? replica[^s]", text)
+        for name in ("T = 9", "T2 = 2", "r = 3"):
+            assert name in head
+        assert head.endswith("1 replica,")
+        assert "$r = 3$" in circuits.title(points, 0)
+        assert "$T = 9$, $T_2 = 2$" in circuits.title(points, 0)
+        assert "$r = 3$" in circuits.common(points)
 
 
 @pytest.mark.parametrize(
@@ -453,7 +474,17 @@ def test_a_frame_shows_its_moment(filmed: Path) -> None:
     _, below, right = stage.figure.axes
     assert below.get_xlim() == (0.0, 10.0)
     assert below.get_ylabel() == r"mass spread $\chi$"
-    assert right.get_ylabel() == "net current 2\n(per unit time)"
+    assert right.get_ylabel() == "net current 2\nurn 2 → 1\n(per unit time)"
+    own = scenes.series.sel(time=slice(0.0, 10.0))
+    ahead = binned(own["middle"].values, (own["flow2_21"] - own["flow2_12"]).values, 40)[1]
+    assert ahead.any()
+    for mirrored, sign in (
+        (own, 1.0),
+        (own.rename(flow2_12="flow2_21", flow2_21="flow2_12"), -1.0),
+    ):
+        net = film.Stage(film.Scenes(scenes.circuit, scenes.snapshots, mirrored)).figure.axes[-1]
+        assert net.lines[1].get_ydata() == pytest.approx(sign * ahead)
+        assert net.get_ylim()[0] <= min(sign * ahead) <= max(sign * ahead) <= net.get_ylim()[1]
     stage.show(scenes.snapshots[18], 0.1)
     assert not np.array_equal(pixels, stage.figure.canvas.buffer_rgba())
 
