@@ -39,7 +39,12 @@ def test_every_namelist_of_ours_is_valid(schema: Draft202012Validator) -> None:
 
 
 def test_what_f90nml_makes_of_an_index_is_valid(schema: Draft202012Validator) -> None:
-    schema.validate(read("&scan number(1:2) = 10, 20 /\n&run duration(1) = 5 /\n"))
+    schema.validate(
+        read(
+            "&scan number(1:2) = 10, 20 /\n&run duration(1) = 5 engine(1) = 'collision' /\n"
+            "&output final_state(1) = T /\n"
+        )
+    )
 
 
 @pytest.mark.parametrize("ranges", [False, True])

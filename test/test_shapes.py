@@ -266,6 +266,9 @@ UPRIGHT = {
     "wide disc": ("channel1_width = 1.8, channel2_width = 0",
                   "-0.5000000000020187 -0.6652489469725353 2.018718525675922e-12 "
                   "1.5652489469725355"),
+    # A passage of the channel would take longer than the clock resolves: it is upright.
+    "long channel": ("channel1_width = 0.9, channel1_length = 1e9, channel2_width = 0",
+                     "-2.5e8 0.1 9e-4 1"),
 }  # fmt: skip
 
 

@@ -134,7 +134,10 @@ contains
     do i = 1, size(particles%x)
       passage = passage_at(table, particles%x(i), particles%y(i), particles%ux(i), particles%uy(i))
       if (passage%trapped .or. passage%chord /= no_channel .or. (table%urn(passage%urn)%shape &
-        == shape_polygon .and. abs(particles%ux(i)) <= least_across)) particles%ux(i) = 0.0_wp
+        == shape_polygon .and. abs(particles%ux(i)) <= least_across)) then
+        particles%ux(i) = 0.0_wp
+        particles%uy(i) = sign(1.0_wp, particles%uy(i))
+      end if
       ! The end of a run may have put it beside the chord, by rounding.
       if (passage%chord /= no_channel) particles%x(i) = sign(table%urn(passage%urn) &
         %channel_start(passage%chord), particles%x(i))

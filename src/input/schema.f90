@@ -67,25 +67,35 @@ contains
     select case (key%kind)
     case (whole_key, real_key)
       one = '"type": "'//trim(merge('integer', 'number ', key%kind == whole_key))//'"'//bounds
-      text = one
       if (key%is_range) then
         text = '"type": "array", "minItems": 3, "maxItems": 3, "prefixItems": [{'//one//'}, {' &
           //one//'}, {"type": "integer", "minimum": 1, "maximum": '//to_text(longest_range)//'}]'
       else
-        ! With an index a single number is a list.
-        text = '"anyOf": [{'//one//'}, {"type": "array", "minItems": 1, "maxItems": ' &
-          //to_text(key%most_values)//', "items": {'//one//'}}]'
+        text = either(one, key%most_values)
       end if
     case (logical_key)
-      text = '"type": "boolean"'
+      text = either('"type": "boolean"', 1)
     case default
       ! Excluded since they are invisible: control characters, and blanks before the text.
       text = '"type": "string", "maxLength": '//to_text(longest_text) &
         //', "not": {"pattern": "^ +[^ ]|[\\x00-\\x1f\\x7f]"}'
       if (key%default /= '''''') text = text//', "pattern": "[^ ]"'
       if (key%choices /= '') text = '"enum": ['//choices_text(trim(key%choices), '"')//']'
+      text = either(text, 1)
     end select
   end function type_text
+
+  !> Text for one value or a list, as f90nml gives also a single value with an index.
+  pure function either(one, most) result(text)
+    !> Text for the type of a value.
+    character(len=*), intent(in) :: one
+    !> Most values.
+    integer, intent(in) :: most
+    character(len=:), allocatable :: text
+
+    text = '"anyOf": [{'//one//'}, {"type": "array", "minItems": 1, "maxItems": ' &
+      //to_text(most)//', "items": {'//one//'}}]'
+  end function either
 
   !> Text for the least and the greatest number of a key.
   pure function bounds_text(key) result(text)
