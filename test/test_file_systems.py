@@ -29,7 +29,8 @@ LACKS = [("NO_FLOCK", number) for number in (errno.ENOLCK, errno.EOPNOTSUPP, ENO
 LACKS += [("NO_FOLDER_SYNC", number)
           for number in (errno.EINVAL, errno.ENOSYS, errno.EOPNOTSUPP, errno.EBADF)]  # fmt: skip
 LACKS += [("NO_SYNC_FOR_READING", errno.EACCES), ("SIGNALS", 1),
-          ("NO_REMOVAL_OF_OPEN", errno.ETXTBSY), ("NO_REPLACEMENT", errno.EEXIST)]  # fmt: skip
+          ("NO_REMOVAL_OF_OPEN", errno.ETXTBSY), ("NO_REPLACEMENT", errno.EEXIST),
+          ("NO_REPLACEMENT", errno.EPERM)]  # fmt: skip
 READ = "import postproc; print(int(postproc.open_results('out.h5')['chi'].count()))"
 
 

@@ -392,14 +392,14 @@ contains
     type(reader_type) :: ahead
     character(len=:), allocatable :: name, rest
 
-    ! No value begins with a $, as in the `$end` of old programs.
-    follows = next_sign(reader) == '$'
+    ! The end of a group in old programs.
+    follows = lower_case(reader%text(reader%at:min(len(reader%text), reader%at + 3))) == '$end'
     if (scan(next_sign(reader), letters) == 0) return
     ahead%text = reader%text(reader%at:min(len(reader%text), reader%at + 1000))
     call read_before(ahead, verify(ahead%text(ahead%at:), name_signs), name)
     call skip_blanks(ahead, .false.)
     follows = next_sign(ahead) == '=' .or. name == 'end' &
-      .or. (in_new_line .and. scan(next_sign(ahead), '0123456789+-:"'//achar(39)) == 1)
+      .or. (in_new_line .and. scan(next_sign(ahead), '0123456789+-.:"'//achar(39)) == 1)
     ! A value such as range(1, 9) is no key.
     rest = rest_of_line(ahead)
     if (next_sign(ahead) == '(') follows = index(adjustl(rest(index(rest, ')') + 1:)), '=') == 1

@@ -174,10 +174,11 @@ static int is_file_of(const char *path, const struct stat *file) {
   return lstat(path, &found) == 0 && found.st_dev == file->st_dev && found.st_ino == file->st_ino;
 }
 
-/* Renames a file in place of another. Some file servers do not replace a file: there it is removed before. */
+/* Renames a file in place of another. Some file servers do not replace a file (old SMB: EEXIST; SFTP without
+   an extension: EPERM): there it is removed before. */
 int battery_rename(const char *old, const char *new) {
   if (rename(old, new) == 0) return 0;
-  return errno == EEXIST && unlink(new) == 0 && rename(old, new) == 0 ? 0 : errno;
+  return (errno == EEXIST || errno == EPERM) && unlink(new) == 0 && rename(old, new) == 0 ? 0 : errno;
 }
 
 /* Renames a file to a name that no file has, or only the file with the given identity; -1: another

@@ -105,7 +105,7 @@ static int remove_of_ended(const char *path, const char *text, char *holder, int
     else if (named < 0) outcome = failed;
     else if (got != locked) outcome = got == locked_by_another ? held : unknown;
     else if (unlink(path) != 0) {
-      if (ftruncate(descriptor, 0) == 0 && write_owner(descriptor, text) == 0) *kept = descriptor;
+      if (write_owner(descriptor, text) == 0 && ftruncate(descriptor, (off_t)strlen(text)) == 0) *kept = descriptor;
       else outcome = failed;
     }
   }

@@ -220,7 +220,7 @@ contains
         end do
       end if
       if (plan%scanned(at)%key == 'channel2_length' .and. size(values) > 1 .and. &
-        any(.not. widths > 0.0_wp)) again = 2
+        any(.not. widths > 0.0_wp) .and. are_lengths_known(plan)) again = 2
       if (again > 0) call refuse_value(plan, plan%scanned(at)%key, to_text(values(again)), &
         'every point once; this value repeats a point')
     end do
@@ -257,6 +257,17 @@ contains
     end do
   end function ranks_of
 
+  !> Whether no length, and no shape of the urns, was refused when it was parsed.
+  pure logical function are_lengths_known(plan) result(known)
+    type(plan_type), intent(in) :: plan
+    integer :: k
+
+    associate (all => plan%settings%all)
+      known = .not. any(all%given .and. .not. all%known .and. (all%key%name == 'urn_shape' .or. &
+        [(any(all(k)%key%place == [key_radius, key_width, key_length]), k=1, size(all))]))
+    end associate
+  end function are_lengths_known
+
   !> Checks all points of the scan. Whether the engine can simulate a point is checked only if there
   !> is no other problem.
   subroutine check_points(plan)
@@ -267,15 +278,12 @@ contains
     type(point_type) :: point
     character(len=:), allocatable :: reason, allowed
     logical :: outlines_valid, lengths_known
-    integer :: at, k
+    integer :: at
 
     call new_engine(plan%engine, engine, error)
     if (allocated(engine)) engine%time_step = plan%time_step
     outlines_valid = has_valid_outlines(plan)
-    associate (all => plan%settings%all)
-      lengths_known = .not. any(all%given .and. .not. all%known .and. (all%key%name == 'urn_shape' &
-        .or. [(any(all(k)%key%place == [key_radius, key_width, key_length]), k=1, size(all))]))
-    end associate
+    lengths_known = are_lengths_known(plan)
     call move_alloc(plan%problems, others)
     allocate (plan%problems(0), plan%of_points%list(0))
     do at = 1, plan%point_count
