@@ -312,6 +312,24 @@ def test_from_corner_to_corner_nobody_flies_outside(tmp_path: Path, engine: str)
     assert np.abs(ends - place).sum(axis=1).min() < 1e-9
 
 
+@pytest.mark.parametrize("start", ["-0.5 0.1 0 1", "-2.5 0.1 0 1"])
+def test_by_steps_who_runs_along_a_side_is_reflected_at_its_end(tmp_path: Path, start: str) -> None:
+    """Beyond a corner two sides are as near: one along which it moves, and one that it has hit."""
+    (tmp_path / "s.txt").write_text(f"{start}\n")
+    (tmp_path / "o.nml").write_text(
+        "&table urn_shape = 'polygon', urn_vertices = 0,-1, 0,1, -2,1, -2,-1, channel1_width = .5, "
+        "channel2_width = 0 /\n&particles number = 1, initial_file = 's.txt' /\n"
+        "&gate threshold = 2 /\n"
+        "&run engine = 'timestep', time_step = 0.0009765625, duration = 9.3 /\n"
+        "&output file = 'o.h5', final_state = T /\n"
+    )
+    ended = run("o.nml", folder=tmp_path)
+    assert ended.returncode == 0, ended.stderr
+    with h5py.File(tmp_path / "o.h5") as file:
+        assert file["collisions"][0, 0] == 5
+        assert file["final/y"][0, 0, 0] == pytest.approx(0.6)
+
+
 def test_who_runs_along_a_wall_into_its_corner_is_not_trapped(tmp_path: Path) -> None:
     """Two hits in one corner, with directions that rounding alone tells apart, are no orbit."""
     (tmp_path / "start.txt").write_text("2.125 0.5 -0.6 0.8\n")

@@ -440,7 +440,9 @@ contains
       if (is_in_polygon(polygon, x, y, 0.0_wp)) return
       was_beyond = .true.
       side = last_crossed_side(polygon, x, y, ux, uy)
-      if (side == 0) side = nearest_side(polygon, x, y)
+      ! Beyond a corner, of two sides the one that it moves out of.
+      if (side == 0) side = minloc(distances_to_sides(polygon, x, y) - polygon%tolerance &
+        *(ux*polygon%normal_x + uy*polygon%normal_y), 1)
       beyond = (x - polygon%x(side))*polygon%normal_x(side) &
         + (y - polygon%y(side))*polygon%normal_y(side)
       call reflect_from_side(polygon, side, x, y, ux, uy)
