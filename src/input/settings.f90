@@ -39,6 +39,8 @@ module battery_settings
     type(findings_type) :: problems
     !> Whether text could not be read: what it sets is not known.
     logical :: has_skipped_text = .false.
+    !> Groups with problems, each between blanks.
+    character(len=:), allocatable :: wrong_groups
   end type settings_type
 
 contains
@@ -55,8 +57,9 @@ contains
     !> Groups, and the line in which each is first; 0: none.
     type(string_type), allocatable :: groups(:)
     integer, allocatable :: first_line(:)
-    integer :: at
+    integer :: at, before
 
+    settings%wrong_groups = ' '
     groups = distinct_names(keys%group)
     allocate (first_line(size(groups)), source=0)
     allocate (settings%all(size(keys)))
@@ -65,6 +68,7 @@ contains
     end do
     reader = reader_of(text)
     do
+      before = settings%problems%count
       call read_next(reader, entry, settings%problems)
       if (.not. allocated(entry%group)) exit
       if (allocated(entry%key)) then
@@ -72,6 +76,8 @@ contains
       else
         call check_group(groups, entry, first_line, reader%is_in_unknown_group, settings%problems)
       end if
+      if (settings%problems%count > before .and. index(settings%wrong_groups, ' '//entry%group &
+        //' ') == 0) settings%wrong_groups = settings%wrong_groups//entry%group//' '
     end do
     settings%has_skipped_text = reader%has_skipped_text
     ! A misspelt key, or one with an index, counts as given and refused, so it is not reported as

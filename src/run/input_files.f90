@@ -31,7 +31,10 @@ contains
     !> All problems, one per line; code `exit_bad_input`.
     type(error_type), allocatable, intent(out) :: error
     character(len=:), allocatable :: text
+    character(len=*), parameter :: others(5) = [character(len=9) :: 'gate', 'run', 'precision', &
+      'output', 'limits']
     logical :: has_table
+    integer :: k
 
     call read_input(file, longest_namelist, text, error)
     ! Of a file that is too long the first bytes are there.
@@ -43,10 +46,10 @@ contains
     end if
     call read_plan(text, file, plan)
     call check_files(plan)
-    ! There is a table to check the file with if all problems are of values of other groups.
-    associate (all => plan%settings%all)
-      has_table = plan%settings%problems%count == count(all%given .and. .not. all%known .and. &
-        all%key%group /= 'table' .and. all%key%group /= 'particles' .and. all%key%group /= 'scan')
+    ! There is a table to check the file with if all problems are in groups that say nothing of it.
+    associate (wrong => plan%settings%wrong_groups)
+      has_table = .not. plan%settings%has_skipped_text .and. len(wrong) == 1 + sum(merge(len_trim( &
+        others) + 1, 0, [(index(wrong, ' '//trim(others(k))//' ') > 0, k=1, size(others))]))
     end associate
     call set_input_error(plan, error)
     if (has_table) call use_initial_file(plan, error)
