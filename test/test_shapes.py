@@ -228,6 +228,18 @@ ALONG = {
 }  # fmt: skip
 
 
+def flown(folder: Path, table: str, start: str, of_run: str, output: str) -> Path:
+    """Run one particle from a start; return the path of the results."""
+    (folder / "s.txt").write_text(f"{start}\n")
+    (folder / "o.nml").write_text(
+        f"&table {table} /\n&particles number = 1, initial_file = 's.txt' /\n"
+        f"&gate threshold = 1 /\n&run {of_run} /\n&output file = 'o.h5', {output} /\n"
+    )
+    ended = run("o.nml", folder=folder)
+    assert ended.returncode == 0, ended.stderr
+    return folder / "o.h5"
+
+
 @pytest.mark.parametrize(
     ("case", "engine"),
     [(case, engine) for case in ALONG
@@ -241,15 +253,9 @@ def test_who_is_reflected_along_an_opening_passes_over_it(
     """In the channel it would run from wall to wall for ever, and a gate would count it."""
     table, start, chord = ALONG[case]
     step = ", time_step = 0.0009765625" if engine == "timestep" else ""
-    (tmp_path / "s.txt").write_text(f"{start}\n")
-    (tmp_path / "o.nml").write_text(
-        f"&table {table} /\n&particles number = 1, initial_file = 's.txt' /\n"
-        f"&gate threshold = 1 /\n&run duration = 5, engine = '{engine}'{step} /\n"
-        "&output file = 'o.h5', final_state = T, event_log = T /\n"
-    )
-    ended = run("o.nml", folder=tmp_path)
-    assert ended.returncode == 0, ended.stderr
-    with h5py.File(tmp_path / "o.h5") as file:
+    path = flown(tmp_path, table, start, f"duration = 5, engine = '{engine}'{step}",
+                 "final_state = T, event_log = T")  # fmt: skip
+    with h5py.File(path) as file:
         assert abs(abs(file["final/x"][0, 0, 0]) - chord) > 0.1
         assert file["events/kind"].size == 0
 
@@ -278,17 +284,11 @@ def test_who_moves_nearly_along_an_opening_flies_freely_at_first(
     tmp_path: Path, case: str, engine: str
 ) -> None:
     table, start = UPRIGHT[case]
-    (tmp_path / "s.txt").write_text(f"{start}\n")
-    (tmp_path / "o.nml").write_text(
-        f"&table {table} /\n&particles number = 1, initial_file = 's.txt' /\n"
-        f"&gate threshold = 1 /\n&run duration = 3.3, engine = '{engine}' /\n"
-        "&output file = 'o.h5', snapshot_times = 0.0625, 0.125 /\n"
-    )
-    ended = run("o.nml", folder=tmp_path)
-    assert ended.returncode == 0, ended.stderr
+    path = flown(tmp_path, table, start, f"duration = 3.3, engine = '{engine}'",
+                 "snapshot_times = 0.0625, 0.125")  # fmt: skip
     _, height, _, u_y = (float(word) for word in start.split())
     upwards = np.sign(u_y)
-    with h5py.File(tmp_path / "o.h5") as file:
+    with h5py.File(path) as file:
         moved = file["snapshots/y"][0, 0, :, 0] - height
     assert moved == pytest.approx([0.0625 * upwards, 0.125 * upwards], abs=1e-11)
 
@@ -315,17 +315,9 @@ def test_from_corner_to_corner_nobody_flies_outside(tmp_path: Path, engine: str)
 @pytest.mark.parametrize("start", ["-0.5 0.1 0 1", "-2.5 0.1 0 1"])
 def test_by_steps_who_runs_along_a_side_is_reflected_at_its_end(tmp_path: Path, start: str) -> None:
     """Beyond a corner two sides are as near: one along which it moves, and one that it has hit."""
-    (tmp_path / "s.txt").write_text(f"{start}\n")
-    (tmp_path / "o.nml").write_text(
-        "&table urn_shape = 'polygon', urn_vertices = 0,-1, 0,1, -2,1, -2,-1, channel1_width = .5, "
-        "channel2_width = 0 /\n&particles number = 1, initial_file = 's.txt' /\n"
-        "&gate threshold = 2 /\n"
-        "&run engine = 'timestep', time_step = 0.0009765625, duration = 9.3 /\n"
-        "&output file = 'o.h5', final_state = T /\n"
-    )
-    ended = run("o.nml", folder=tmp_path)
-    assert ended.returncode == 0, ended.stderr
-    with h5py.File(tmp_path / "o.h5") as file:
+    path = flown(tmp_path, f"{OVER} 0,-1, 0,1, -2,1, -2,-1", start, "engine = 'timestep', "
+                 "time_step = 0.0009765625, duration = 9.3", "final_state = T")  # fmt: skip
+    with h5py.File(path) as file:
         assert file["collisions"][0, 0] == 5
         assert file["final/y"][0, 0, 0] == pytest.approx(0.6)
 
@@ -353,9 +345,7 @@ def _boundary(walls: list[np.ndarray]) -> np.ndarray:
     return np.vstack([upper1, lower1, lower2[::-1], upper2[::-1]])
 
 
-def test_who_meets_a_corner_after_many_events_of_another_is_not_trapped(
-    tmp_path: Path,
-) -> None:
+def test_who_meets_a_corner_after_many_events_of_another_is_not_trapped(tmp_path: Path) -> None:
     """In `synchronous` each event moves all, so rounding puts particle 1 far beyond its side."""
     (tmp_path / "s.txt").write_text("2.3 -0.4 1 -3\n3 0.00025 0.001 1\n")
     found = {}

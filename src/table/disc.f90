@@ -56,7 +56,7 @@ contains
     urn%area = pi*radius**2 - segment_area(channel1) - segment_area(channel2)
     urn%perimeter = radius*(2.0_wp*pi - 2.0_wp*angle(channel1) - 2.0_wp*angle(channel2))
     urn%reach = radius
-    urn%least_across = max(least_across, least_across*maxval(channel%length)/radius)
+    urn%least_across = least_across*max(1.0_wp, maxval(channel%length)/radius)
     urn%clear = radius
     urn%longest_step = radius
     urn%depth = urn%chord
