@@ -47,6 +47,10 @@ _RANK_OF_A_JOB = re.compile(
     r"|FLUX_(JOB_\w+|TASK_\w+|KVS_NAMESPACE|PMI_LIBRARY_PATH)|JSM_\w+|ALPS_APP_\w+"
     r"|PALS_(AP\w+|RANKID|LOCAL_\w+|NODEID|FD|SPOOL_DIR)"
 )
+# Where the ranks of a job are placed: for its ranks, mpirun exports these options of its own.
+_PLACES = re.compile(
+    r"OMPI_MCA_(rmaps_(base_(mapping|ranking)_\w+|ppr_\w+|rank_file_\w+)|orte_rankfile)"
+)
 
 # A warning of Open MPI 5 on hosts without a network: each rank writes it in parts, which are mixed
 # within lines if ranks write simultaneously.
@@ -75,8 +79,10 @@ def own_environment() -> dict[str, str]:
         home = str(Path.home())
     except RuntimeError:
         home = os.sep
-    own = {name: one for name, one in os.environ.items() if not _RANK_OF_A_JOB.fullmatch(name)}
-    return {"HOME": home, **own}
+    job = {name for name in os.environ if _RANK_OF_A_JOB.fullmatch(name)}
+    if job:
+        job |= {name for name in os.environ if _PLACES.fullmatch(name)}
+    return {"HOME": home, **{name: one for name, one in os.environ.items() if name not in job}}
 
 
 def program_words(errors: str) -> str:

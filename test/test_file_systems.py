@@ -56,8 +56,9 @@ def test_a_file_system_that_lacks_a_call_is_as_good(
         return ended.stdout
 
     write_case(CASE, tmp_path, scan={"replicas": 2}, limits={"wall_minutes": "1e-6"})
-    # A run that was killed has left its lock.
-    (tmp_path / "out.h5.owner").write_text(f"{socket.gethostname()} 1 2026-11-29 12:00:00.000")
+    # A run that was killed has left its lock, with the number of a process longer than any here.
+    of_killed = f"{socket.gethostname()} 4194303999 2026-11-29 12:00:00.000"
+    (tmp_path / "out.h5.owner").write_text(of_killed)
     done("--quiet", code=3)
     assert not (tmp_path / "out.h5.owner").exists()
     write_case(CASE, tmp_path, scan={"replicas": 2})

@@ -230,6 +230,7 @@ ALONG = {
 
 def flown(folder: Path, table: str, start: str, of_run: str, output: str) -> Path:
     """Run one particle from a start; return the path of the results."""
+    folder.mkdir(exist_ok=True)
     (folder / "s.txt").write_text(f"{start}\n")
     (folder / "o.nml").write_text(
         f"&table {table} /\n&particles number = 1, initial_file = 's.txt' /\n"
@@ -276,6 +277,20 @@ UPRIGHT = {
     "long channel": ("channel1_width = 0.9, channel1_length = 1e9, channel2_width = 0",
                      "-2.5e8 0.1 9e-4 1"),
 }  # fmt: skip
+
+
+@pytest.mark.parametrize("engine", ["excursion", "collision", "synchronous"])
+def test_the_length_of_a_closed_channel_changes_nothing(tmp_path: Path, engine: str) -> None:
+    """Its particle enters the gate nearly along it."""
+    ends = []
+    for length in (1.0, 1e12):
+        table = f"channel1_width = 1, channel2_width = 0, channel2_length = {length}"
+        path = flown(tmp_path / str(length), table, "-0.5001 -0.4 5e-4 1",
+                     f"duration = 5, engine = '{engine}'", "final_state = T")  # fmt: skip
+        with h5py.File(path) as file:
+            ends.append([file[f"final/{name}"][0, 0, 0] for name in ("x", "y", "ux", "uy")])
+    assert ends[0] == ends[1]
+    assert ends[0][0] > -0.5
 
 
 @pytest.mark.parametrize("engine", ["excursion", "collision", "synchronous"])

@@ -29,10 +29,11 @@ if TYPE_CHECKING:
     Floats = NDArray[np.float64]
 
 RELAXATIONS = 3.0  # relaxation times of directions in a transient
-SHORTEST = 1000.0  # transient in radii
+# in radii, as times at speed 1
+SHORTEST = 1000.0  # transient
 CRITICAL = 9000.0  # transient next to a transition: a margin (experiment 5 found 500 enough)
 LONGEST = 1e6  # longest transient for a current; the part still missing then is returned
-AGES = np.geomspace(10.0, 10.0 * LONGEST, 361)
+AGES = np.geomspace(10.0, 1e12, 661)
 
 
 def circulation_rate(circuit: Circuit, dense: float, rounds: float) -> float:
@@ -48,6 +49,11 @@ def circulation_rate(circuit: Circuit, dense: float, rounds: float) -> float:
     return beam * (1.0 + 2.0 * share / (1.0 - share)) / rounds
 
 
+def largest_radius(circuit: Circuit) -> float:
+    """Return the radius of the larger urn, the unit of the times above."""
+    return max(float(side.urn_radius) for side in circuit.sides)
+
+
 def memory_time(circuit: Circuit) -> float:
     """Return the relaxation time of directions, 25 r^4/w^3 for l = r or so."""
     radius, width = float(circuit.urn_radius), float(circuit.channel1_width)
@@ -57,11 +63,10 @@ def memory_time(circuit: Circuit) -> float:
 
 def of_chi(circuit: Circuit, *, critical: bool) -> float:
     """Return the transient of chi, next to a transition or elsewhere."""
-    slowest = max(
-        max(RELAXATIONS * memory_time(side), SHORTEST * float(side.urn_radius))
-        for side in circuit.sides
-    )
-    return 100.0 * math.ceil(0.01 * (max(slowest, CRITICAL) if critical else slowest))
+    radius = largest_radius(circuit)
+    least = CRITICAL if critical else SHORTEST
+    slowest = max(least, *(RELAXATIONS * memory_time(side) / radius for side in circuit.sides))
+    return radius * 100.0 * math.ceil(0.01 * slowest)
 
 
 def missing(circuit: Circuit, chi: float, transients: Floats, measured: Floats) -> Floats:
@@ -75,7 +80,8 @@ def missing(circuit: Circuit, chi: float, transients: Floats, measured: Floats) 
         return np.zeros(np.shape(transients))
     lacking = _lacking(MODELS["direction"].of(circuit), chi)
     start = np.asarray(transients, float)
-    ends = [np.interp(age, AGES, lacking) for age in (start, start + measured)]
+    ages = largest_radius(circuit) * AGES
+    ends = [np.interp(age, ages, lacking) for age in (start, start + measured)]
     return (ends[1] - ends[0]) / measured
 
 
@@ -83,8 +89,9 @@ def missing(circuit: Circuit, chi: float, transients: Floats, measured: Floats) 
 def _lacking(circuit: Circuit, chi: float) -> Floats:
     """Return the integral of the missing current from the first of `AGES` to each of them."""
     number2 = 0.5 * float(circuit.number) * (1.0 + chi)
-    around = circulating_at(circuit, number2, np.append(AGES, math.inf))
-    return integrate.cumulative_trapezoid(around[-1] - around[:-1], AGES, initial=0.0)
+    ages = largest_radius(circuit) * AGES
+    around = circulating_at(circuit, number2, np.append(ages, math.inf))
+    return integrate.cumulative_trapezoid(around[-1] - around[:-1], ages, initial=0.0)
 
 
 def of_current(
@@ -97,6 +104,8 @@ def of_current(
     shortest : lower bound, the transient of chi.
     times : measured time over the transient.
     """
-    tried = np.unique(np.ceil(shortest * np.geomspace(1.0, max(1.0, LONGEST / shortest), 91)))
+    radius = largest_radius(circuit)
+    first = shortest / radius
+    tried = radius * np.unique(np.ceil(first * np.geomspace(1.0, max(1.0, LONGEST / first), 91)))
     enough = np.flatnonzero(np.abs(missing(circuit, chi, tried, times * tried)) <= allowed)
     return float(tried[enough[0] if enough.size else -1])

@@ -80,7 +80,8 @@ def title(points: xr.Dataset, at: int) -> str:
 
 
 def common(points: xr.Dataset) -> str:
-    """Return N, T, w and w', and T and r of the other side, if they are the same at all points."""
+    """Return N, T, w and w', and T and r where the sides differ, as far as all points agree."""
+    # a scanned r of urn 2 asks for r of urn 1
     names = with_first([*PARAMETERS, *keys_of(points), *second_values(points)])
     values = {name: np.unique(points[name]) for name in names}
     return ", ".join(equals(name, float(one[0])) for name, one in values.items() if one.size == 1)

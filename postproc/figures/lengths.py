@@ -61,7 +61,7 @@ def _name(
     """Name what lies between `ends`, the inner first, above (way = 1) or below (-1) a level.
 
     A text that is wider goes on outwards. It stands where no wall and no other text is, with a line
-    to what it names if that is not at the level.
+    to what it names if that is not at the level; where the picture has no such place, on white.
     """
     middle, side, others = 0.5 * (ends[0] + ends[1]), "center", [*axes.texts]
     if middle != 0.0 and _size(axes, text)[0] > abs(ends[1] - ends[0]):
@@ -76,6 +76,11 @@ def _name(
     ):
         at += way * step
         shown.set_y(at)
+    box, page = shown.get_window_extent(), axes.figure.bbox
+    if not page.y0 <= box.y0 < box.y1 <= page.y1:
+        look = {"fc": "white", "lw": 0.0, "pad": 0.5}
+        shown.update({"y": level, "va": "top" if way > 0 else "bottom", "bbox": look})
+        return
     if at != level:
         axes.plot([middle] * 2, [level, at - way * step], color=style.BLACK, lw=0.5)
 
@@ -134,7 +139,8 @@ def _name_lengths(axes: Axes, circuit: Circuit) -> None:
     half1, reach = 0.5 * circuit.channel1_width, 0.5 * circuit.channel1_length
     alone, sides = circuit.shape != "circuit", ways(circuit)
     if alone:
-        axes.set_xlim(right=0.45 * circuit.urn_radius)
+        # room for the names of w and of the end wall
+        axes.set_xlim(right=max(0.45 * circuit.urn_radius, 0.1 * circuit.channel1_length))
     axes.apply_aspect()  # or texts cannot be compared with lengths
     # Distances of names are shares of this: of the radius, unless that is small in the picture.
     unit = max(4.0 * _size(axes, "$w$")[1], *(float(side.urn_radius) for _, side in sides))
@@ -159,16 +165,19 @@ def _name_lengths(axes: Axes, circuit: Circuit) -> None:
         level = -0.5 * circuit.channel2_width - 0.1 * unit
         _measure(axes, ends, level)
         _name(axes, circuit, ends, level - 0.05 * unit, r"$\ell'/2$", -1)
-    _name_width(axes, circuit, unit)
+    at = _name_width(axes, circuit, unit)
     if alone:
-        look = {"ha": "center", "va": "center", "rotation": 90}
-        axes.text(0.34 * circuit.urn_radius, 0.0, "end wall", **look)
+        look = {"ha": "left", "va": "center", "rotation": 90}
+        axes.text(at + 0.04 * unit, 0.0, "end wall", **look)
     if circuit.channel2_width > 0.0:
         axes.text(sides[-1][1].end + 0.06 * unit, 0.0, "$w'$", va="center")
 
 
-def _name_width(axes: Axes, circuit: Circuit, unit: float) -> None:
-    """Name w, within gate 2 if it has room; where walls would cross the name, it is outside."""
+def _name_width(axes: Axes, circuit: Circuit, unit: float) -> float:
+    """Name w, within gate 2 if it has room; where walls would cross the name, it is outside.
+
+    Return where its name ends.
+    """
     half1, reach = 0.5 * circuit.channel1_width, 0.5 * circuit.channel1_length
     (width, height), gap, level = _size(axes, "$w$"), 0.04 * unit, 0.1 * unit
     free, crossed = 0.0, False
@@ -181,13 +190,15 @@ def _name_width(axes: Axes, circuit: Circuit, unit: float) -> None:
     if crossed and free > 0.0:
         _name(axes, circuit, (level - width, level + width), half1 + 0.06 * unit, "$w$", 1)
     else:
-        axes.text((reach if crossed else level) + gap, 0.0, "$w$", ha="left", va="center")
+        level = reach if crossed else level
+        axes.text(level + gap, 0.0, "$w$", ha="left", va="center")
+    return level + gap + width
 
 
 def _name_radius(axes: Axes, circuit: Circuit, number: int) -> str:
-    """Name the radius of a disc in it, if they are equal in the last one; "": it is named.
+    """Write the name of the radius in the disc; of equal discs only in the last.
 
-    Where there is no room in the disc, return what its own name has to say of the radius.
+    Return "" or, where the disc has no room, what is added to the name of the urn.
     """
     sides = ways(circuit)
     alike = len({float(side.urn_radius) for _, side in sides}) == 1

@@ -163,7 +163,7 @@ def of_theory(points: xr.Dataset, keys: Keys, models: Sequence[Model]) -> tuple[
 
 
 def colours_of(currents: Floats) -> tuple[float, float]:
-    """Return the ends of the colours of currents, between which 0 and all of them lie.
+    """Return the least and the greatest value of the colours: 0 and all currents lie between them.
 
     Along the polarity a current is negative where the fuller urn is the larger and thinner one.
     """

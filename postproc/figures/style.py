@@ -110,11 +110,13 @@ def label_fraction(axes: Axes) -> None:
 
 @contextmanager
 def measured(made: Figure) -> Iterator[Figure]:
-    """Give a figure the resolution of the PNG, on which the widths of letters depend."""
+    """Give a figure the resolution of the PNG in a block: widths of letters depend on it."""
     resolution = made.dpi
     made.set_dpi(RESOLUTION)
-    yield made
-    made.set_dpi(resolution)
+    try:
+        yield made
+    finally:
+        made.set_dpi(resolution)
 
 
 def legend_above(

@@ -206,7 +206,7 @@ def second_values(points: xr.Dataset) -> dict[str, NDArray[np.generic]]:
 def with_first(names: list[str]) -> list[str]:
     """Return names of parameters, before that of gate 2 or urn 2 alone that of 1.
 
-    Beside it alone T or r of the other side would be taken for that of the default.
+    If only r of urn 2 were named, a reader would take r of urn 1 for the default.
     """
     found = list(names)
     for second, first in PAIRS.items():

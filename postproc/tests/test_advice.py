@@ -206,6 +206,22 @@ def test_the_current_still_lacks_what_was_measured() -> None:
     assert 0.0 < old < 0.0015
 
 
+def test_transients_do_not_depend_on_the_unit_of_length() -> None:
+    found = []
+    for unit in (1e-3, 1.0, 1e4):
+        lengths = dict.fromkeys(("urn_radius", "channel1_length", "channel2_length"), unit)
+        circuit = Circuit(1000, 7, 0.3 * unit, 0.01 * unit, **lengths)
+        begun = transients.of_chi(circuit, critical=False)
+        allowed = 0.0025 / unit
+        times = [begun, transients.of_chi(circuit, critical=True)]
+        times += [transients.of_current(circuit, 0.93, allowed, shortest=begun, times=2.0)]
+        lacking = transients.missing(circuit, 0.93, begun, 2.0 * begun)
+        found.append([*(one / unit for one in times), float(lacking) * unit])
+    assert found[0] == pytest.approx(found[1], rel=1e-6)
+    assert found[2] == pytest.approx(found[1], rel=1e-6)
+    assert found[1][3] > 0.01
+
+
 def test_a_pilot_waits_as_long_as_the_tolerance_asks(monkeypatch: pytest.MonkeyPatch) -> None:
     """Of a current; chi has settled after three relaxations of directions."""
     waited = []

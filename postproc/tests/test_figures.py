@@ -107,6 +107,8 @@ def test_model_names_the_lengths_and_shows_particles_of_a_run(folder: Path) -> N
         {"urn_radius": 3.0, "urn2_radius": 0.2, "channel2_width": 0.05},
         {"urn_radius": 0.2, "urn2_radius": 3.0, "channel1_length": 0.3},
         {"channel2_length": 60.0},
+        {"channel1_width": 1.9, "channel1_length": 0.2},
+        {"shape": "urn", "channel2_width": 0.0, "channel1_length": 30.0},
     ],
 )
 def test_names_of_lengths_of_any_table_are_read(given: dict[str, float]) -> None:
@@ -117,16 +119,20 @@ def test_names_of_lengths_of_any_table_are_read(given: dict[str, float]) -> None
     texts = [one for one in made.axes[0].texts if one.get_text()]
     boxes = [one.get_window_extent() for one in texts]
     said = " ".join(one.get_text() for one in texts)
-    for name in ("gate", "1", "2", "urn 1", "urn 2", r"\ell", r"\ell'", "$w$", "$w'$", "r"):
-        assert name in said
+    alone = circuit.shape == "urn"
+    names = ["gate", "urn 1", "$w$", *(["end wall"] if alone else ["urn 2", r"\ell'/2", "$w'$"])]
+    assert all(name in said for name in names)
+    assert "$r$" in said or ("$r_1$" in said and "$r_2$" in said)
+    assert r"$\ell/2$" in said or r"$\ell$" in said
     walls = [made.axes[0].transData.transform(one) for one in scene.walls(circuit)]
     for at, (text, box) in enumerate(zip(texts, boxes, strict=True)):
         assert made.bbox.x0 <= box.x0 < box.x1 <= made.bbox.x1
+        assert made.bbox.y0 <= box.y0 < box.y1 <= made.bbox.y1
         hit = [one.get_text() for one, other in zip(texts[:at], boxes, strict=False)
                if box.overlaps(other)]  # fmt: skip
         assert not hit, text.get_text()
-        # w is beside its arrow, which may be nearly as wide as the channel.
-        if text.get_text() != "$w$":
+        # w is beside its arrow, which may be nearly as wide as the channel; others are on white.
+        if text.get_text() not in ("$w$", "end wall") and text.get_bbox_patch() is None:
             assert not any(Polyline(one).intersects_bbox(box, filled=False) for one in walls)
 
 

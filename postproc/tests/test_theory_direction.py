@@ -275,6 +275,20 @@ def test_nearly_all_particles_in_one_urn_are_found(circuit: Circuit) -> None:
     assert stable[-1].mass_spread > 0.9
 
 
+@pytest.mark.parametrize(("number", "width", "length"), [(1e5, 1e-6, 3.0), (3e5, 1e-5, 1.0)])
+def test_a_state_with_nearly_all_particles_in_one_urn_is_found_beside_a_stable_homogeneous_one(
+    number: float, width: float, length: float
+) -> None:
+    circuit = Circuit(number, 1, channel2_width=width, channel1_length=length)
+    kinds, spreads = zip(
+        *((one.kind, one.mass_spread) for one in direction.stationary_states(circuit)), strict=True
+    )
+    assert kinds == ("stable", "unstable", "stable")
+    well_mixed = [one.mass_spread for one in MODELS["renewal"].stationary_states(circuit)]
+    assert spreads == pytest.approx(well_mixed, abs=1e-3)
+    assert spreads[1] > 0.998
+
+
 def test_thresholds_above_the_number_of_particles_have_one_state() -> None:
     circuit = Circuit(number=10**6, threshold=10**6 + 5, channel1_width=1e-3, channel2_width=0.0281)
     assert MODELS["direction"].homogeneous_kind(circuit) == "stable"

@@ -64,7 +64,8 @@ TAKEN = (0.7, 0.3, 0.1)  # weights of new q, a smaller one if a larger one overs
 LEAST_SHARE = 1e-3  # of the particles in urns, in the emptier one, down to which all is computed
 LAST_EVEN = 0.1  # of them, down to which points are even
 EVENLY, FALLING = 10, 10  # points down to that, and from there to `LEAST_SHARE`
-FURTHER, FEWEST = 10.0**-0.5, 1e-12  # step and end of shares below it, until a state is passed
+FURTHER, FEWEST = 10.0**-0.5, 1e-12  # step and end of shares below it
+PASSES = 0.99  # of the entries into a gate, from which on it counts as one that never reverses
 NEARER, NEAREST = 5, 40  # bisections of the last step towards what channel 2 alone brings, or more
 APART = 1e-3  # of N, least distance of a state from a point of `scan` for flows of its own
 NEXT_TO_EQUAL = 0.02  # distance of the first from equal urns
@@ -351,7 +352,7 @@ def _no_flows(circuit: Circuit) -> InputError:
 
 
 def _emptied(equations: Directions, urn: int) -> list[tuple[float, Held]]:
-    """Return (share of an urn, circuit held there) from almost 1/2 until the urn gains."""
+    """Return (share of an urn, circuit held there) from almost 1/2 until it gains for good."""
     shares, tries = list(_shares()), 0
     found: list[tuple[float, Held]] = []
     with doing("directions, share", len(shares)) as advance:
@@ -364,8 +365,12 @@ def _emptied(equations: Directions, urn: int) -> list[tuple[float, Held]]:
                 shares, tries = [0.5 * (found[-1][0] + shares[0])], tries + 1
             else:  # next to equal urns the fuller one may gain by channel 2
                 shares.pop(0)
-            gains = not found or _excess(found[-1][1], urn) <= 0.0
-            if not (shares or gains) and found[-1][0] > FEWEST:
+            ended = not found or found[-1][0] <= FEWEST
+            if not (shares or ended) and _excess(found[-1][1], urn) <= 0.0:
+                # with fewer it gains, too, if its gate hardly reverses
+                held = found[-1][1]
+                ended = tries > 0 or held.through[urn] >= PASSES * held.entries[urn, 0]
+            if not (shares or ended):
                 shares = [FURTHER * found[-1][0]]
             advance()
     return found

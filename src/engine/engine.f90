@@ -10,7 +10,6 @@ module battery_engine
   use battery_kinds, only: wp, int64
   use battery_table, only: table_type, passage_type, passage_at, no_channel
   use battery_urn, only: shape_polygon
-  use battery_motion, only: least_across
   use battery_gate, only: gate_type, new_gate, clear_new_entries, rebase_gate, serialize_gate
   use battery_event_record, only: event_record_type
   use battery_archive, only: archive_type
@@ -118,7 +117,8 @@ module battery_engine
 contains
 
   !> Loads the particles at the time `clock`. One that is too slow along its channel ever to reach
-  !> an end moves across it, in all engines alike: an angle of pi/2 has the cosine 6e-17.
+  !> an end moves across it, and one that is upright up to rounding in a polygon is upright, in all
+  !> engines alike: an angle of pi/2 has the cosine 6e-17.
   subroutine start(self, table, threshold, particles, clock)
     class(engine_type), intent(inout) :: self
     type(table_type), intent(in) :: table
@@ -133,11 +133,13 @@ contains
 
     do i = 1, size(particles%x)
       passage = passage_at(table, particles%x(i), particles%y(i), particles%ux(i), particles%uy(i))
-      if (passage%trapped .or. passage%chord /= no_channel .or. (table%urn(passage%urn)%shape &
-        == shape_polygon .and. abs(particles%ux(i)) <= least_across)) then
-        particles%ux(i) = 0.0_wp
-        particles%uy(i) = sign(1.0_wp, particles%uy(i))
-      end if
+      associate (urn => table%urn(passage%urn), ux => particles%ux(i), uy => particles%uy(i))
+        if (passage%trapped .or. passage%chord /= no_channel .or. (urn%shape == shape_polygon &
+          .and. abs(ux) <= urn%least_across)) then
+          ux = 0.0_wp
+          uy = sign(1.0_wp, uy)
+        end if
+      end associate
       ! The end of a run may have put it beside the chord, by rounding.
       if (passage%chord /= no_channel) particles%x(i) = sign(table%urn(passage%urn) &
         %channel_start(passage%chord), particles%x(i))

@@ -1,7 +1,8 @@
 !> Reads the text of a namelist file entry by entry: groups, and keys with their values.
 !>
 !> The syntax is that of Fortran's own namelist input (comments, both quotes, lists, repeat counts,
-!> `/` or `&end`, any case), but line numbers are stored, and parsing continues after an error.
+!> `/` or `&end`, any case), but line numbers are stored, and parsing continues after an error. A
+!> `/` right before a text, as in a path, does not end a group: that is a mistake.
 module battery_namelist_text
   use battery_text, only: to_text, lower_case
   use battery_foreign_bytes, only: text_start
@@ -162,8 +163,8 @@ contains
     name = '&'//displayable_text(reader%group)//' '//displayable_text(key)
     if (key == '' .or. key == 'end') then
       if (key == '') key = rest_of_line(reader)
-      call add_form_finding(reader, 'a key was expected at: '//key &
-        //'; a group ends with / or &end', problems)
+      call add_form_finding(reader, 'a key was expected at: '//key//'; a group ends with &end, ' &
+        //'or with a / without text right after it', problems)
       call skip_to_group(reader)
       return
     end if
@@ -176,8 +177,11 @@ contains
       reader%at = reader%at + 1
       call read_values(reader, name, entry%values, problems)
     else
-      call add_form_finding(reader, name//': '//trim(merge('keys have no parts, and no %', &
-        '= is missing                ', next_sign(reader) == '%')), problems, line)
+      if (next_sign(reader) == '%') then
+        call add_form_finding(reader, name//': keys have no parts, and no %', problems, line)
+      else
+        call add_form_finding(reader, name//': = is missing', problems, line)
+      end if
       call skip_to_group(reader)
     end if
     entry%refused = problems%count > before
@@ -232,7 +236,7 @@ contains
     type(findings_type), intent(inout) :: problems
     type(value_type) :: value
     integer :: repeats, count, line, last_line
-    character(len=:), allocatable :: problem
+    character(len=:), allocatable :: problem, rest
     logical :: after_comma
 
     count = 0
@@ -251,7 +255,12 @@ contains
         exit
       case ('&')
         if (begins_group(reader) .or. ends_group(reader)) exit
-        call add_mistake('a list goes on in the next line without &, and &end is one word')
+        rest = rest_of_line(reader)
+        if (index(lower_case(adjustl(rest(2:))), 'end') == 1) then
+          call add_mistake('&end is one word')
+        else
+          call add_mistake('it goes on in the next line without &')
+        end if
         call skip_to_group(reader)
         exit
       case (',')
@@ -353,6 +362,7 @@ contains
   !> Adds a problem of the form, unless there is no such group.
   pure subroutine add_form_finding(reader, text, problems, line)
     type(reader_type), intent(in) :: reader
+    !> What is wrong.
     character(len=*), intent(in) :: text
     type(findings_type), intent(inout) :: problems
     !> The line, if it is not that of the reader.
@@ -388,18 +398,24 @@ contains
   !> that of a value, a name and a number or a quote are a key that lacks its =.
   logical function key_follows(reader, in_new_line) result(follows)
     type(reader_type), intent(in) :: reader
+    !> Whether these characters are in a line after that of a value.
     logical, intent(in) :: in_new_line
     type(reader_type) :: ahead
     character(len=:), allocatable :: name, rest
+    logical :: is_end
 
     ! The end of a group in old programs.
     follows = lower_case(reader%text(reader%at:min(len(reader%text), reader%at + 3))) == '$end'
     if (scan(next_sign(reader), letters) == 0) return
     ahead%text = reader%text(reader%at:min(len(reader%text), reader%at + 1000))
     call read_before(ahead, verify(ahead%text(ahead%at:), name_signs), name)
+    name = lower_case(name)
+    ! A path may begin with it.
+    is_end = name == 'end' .and. scan(next_sign(ahead), './') == 0
     call skip_blanks(ahead, .false.)
-    follows = next_sign(ahead) == '=' .or. name == 'end' &
-      .or. (in_new_line .and. scan(next_sign(ahead), '0123456789+-.:"'//achar(39)) == 1)
+    follows = next_sign(ahead) == '=' .or. is_end .or. (in_new_line .and. &
+      scan(next_sign(ahead), '0123456789+-.:"'//achar(39)) == 1 .and. &
+      all(name /= [character(len=8) :: 'nan', 'inf', 'infinity', 'end']))
     ! A value such as range(1, 9) is no key.
     rest = rest_of_line(ahead)
     if (next_sign(ahead) == '(') follows = index(adjustl(rest(index(rest, ')') + 1:)), '=') == 1

@@ -1,7 +1,7 @@
 !> A JSON Schema (draft 2020-12) of a namelist in the JSON form of f90nml, made from a list of keys.
 !>
 !> It has names, types and bounds of single keys; rules between keys are checked by the program
-!> only.
+!> only, which also takes a text with more blanks at its end.
 module battery_schema
   use battery_kinds, only: wp
   use battery_text, only: to_text, new_line_character
@@ -14,7 +14,8 @@ module battery_schema
   character(len=*), parameter :: object = &
     '"type": "object", "additionalProperties": false, "properties": {'
 
-  !> What f90nml adds to a group in which a key has an index, as in `number(1:2) = 10, 20`.
+  !> What f90nml adds to a group in which a key has an index, as in `number(1:2) = 10, 20`. It is no
+  !> key, so it is not among the properties.
   character(len=*), parameter :: indices = &
     '"patternProperties": {"^_start_index$": {"type": "object"}}, '
 

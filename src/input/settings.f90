@@ -39,8 +39,8 @@ module battery_settings
     type(findings_type) :: problems
     !> Whether text could not be read: what it sets is not known.
     logical :: has_skipped_text = .false.
-    !> Groups with problems, each between blanks.
-    character(len=:), allocatable :: wrong_groups
+    !> Whether a problem may concern a length of the table, of a known or an unknown name.
+    logical :: has_wrong_table = .false.
   end type settings_type
 
 contains
@@ -59,7 +59,6 @@ contains
     integer, allocatable :: first_line(:)
     integer :: at, before
 
-    settings%wrong_groups = ' '
     groups = distinct_names(keys%group)
     allocate (first_line(size(groups)), source=0)
     allocate (settings%all(size(keys)))
@@ -76,8 +75,8 @@ contains
       else
         call check_group(groups, entry, first_line, reader%is_in_unknown_group, settings%problems)
       end if
-      if (settings%problems%count > before .and. index(settings%wrong_groups, ' '//entry%group &
-        //' ') == 0) settings%wrong_groups = settings%wrong_groups//entry%group//' '
+      if (settings%problems%count > before .and. (reader%is_in_unknown_group .or. entry%group &
+        == 'table' .or. entry%group == 'scan')) settings%has_wrong_table = .true.
     end do
     settings%has_skipped_text = reader%has_skipped_text
     ! A misspelt key, or one with an index, counts as given and refused, so it is not reported as
@@ -140,6 +139,7 @@ contains
     type(entry_type), intent(in) :: entry
     !> Line in which each group is first; 0: none so far.
     integer, intent(inout) :: first_line(:)
+    !> Whether there is no such group.
     logical, intent(out) :: is_unknown
     type(findings_type), intent(inout) :: problems
     integer :: at

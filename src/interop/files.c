@@ -175,7 +175,8 @@ static int is_file_of(const char *path, const struct stat *file) {
 }
 
 /* Renames a file in place of another. Some file servers do not replace a file (old SMB: EEXIST; SFTP without
-   an extension: EPERM): there it is removed before. */
+   an extension: EPERM): there it is removed before, and a stop between the two leaves the file under its old
+   name alone. */
 int battery_rename(const char *old, const char *new) {
   if (rename(old, new) == 0) return 0;
   return (errno == EEXIST || errno == EPERM) && unlink(new) == 0 && rename(old, new) == 0 ? 0 : errno;
@@ -204,16 +205,18 @@ int battery_put_in_place(const char *old, const char *new, const int64_t seen[5]
     if (chown(old, found.st_uid, found.st_gid) != 0 && chown(old, (uid_t)-1, found.st_gid) != 0)
       mode &= ~(mode_t)070;
     (void)!chmod(old, mode);
-#ifdef RENAME_NOREPLACE
-  } else {
-    status = renameat2(AT_FDCWD, old, AT_FDCWD, new, RENAME_NOREPLACE) == 0 ? 0 : errno;
-    if (status == 0 || is_file_of(new, &mine)) return 0;
-    if (status == EEXIST) return -1;
-    /* Some file systems do not support this. */
-#endif
+    status = battery_rename(old, new);
+    return is_file_of(new, &mine) ? 0 : status;
   }
-  status = battery_rename(old, new);
-  return is_file_of(new, &mine) ? 0 : status;
+#ifdef RENAME_NOREPLACE
+  status = renameat2(AT_FDCWD, old, AT_FDCWD, new, RENAME_NOREPLACE) == 0 ? 0 : errno;
+  if (status == 0 || is_file_of(new, &mine)) return 0;
+  if (status == EEXIST) return -1;
+  /* Some file systems do not support this. */
+#endif
+  status = rename(old, new) == 0 ? 0 : errno;
+  if (is_file_of(new, &mine)) return 0;
+  return status == EEXIST ? -1 : status;
 }
 
 /* Opens a file or a pipe for reading, without waiting for a writer; negative: an error. */

@@ -67,7 +67,7 @@ static int is_of_an_owner(const char *found) {
   return 1;
 }
 
-/* Locks the new file, and writes the text of its owner; 0, or an error number. */
+/* Locks the file, and writes the text of its owner; 0, or an error number. */
 static int write_owner(int descriptor, const char *text) {
   lock(descriptor);
   int status = battery_write_all(descriptor, text, strlen(text));
@@ -75,8 +75,8 @@ static int write_owner(int descriptor, const char *text) {
 }
 
 /* Removes the file of an ended run of this machine; `taken` if there is no file now. If the file
-   belongs, or may belong, to another run, `holder` (`capacity` bytes) is its text. Where no open file can
-   be removed, it is taken over in its place, and stays open, as `kept`. */
+   belongs, or may belong, to another run, `holder` (`capacity` bytes) is its text. Where it cannot be
+   removed, it is taken over in its place, and stays open, as `kept`. */
 static int remove_of_ended(const char *path, const char *text, char *holder, int capacity, int *kept) {
   int descriptor = open(path, O_RDWR | O_NOFOLLOW | O_CLOEXEC | O_NONBLOCK), outcome = taken, got;
   struct stat found;
@@ -105,7 +105,7 @@ static int remove_of_ended(const char *path, const char *text, char *holder, int
     else if (named < 0) outcome = failed;
     else if (got != locked) outcome = got == locked_by_another ? held : unknown;
     else if (unlink(path) != 0) {
-      if (write_owner(descriptor, text) == 0 && ftruncate(descriptor, (off_t)strlen(text)) == 0) *kept = descriptor;
+      if (ftruncate(descriptor, 0) == 0 && write_owner(descriptor, text) == 0) *kept = descriptor;
       else outcome = failed;
     }
   }
@@ -150,7 +150,7 @@ static int create_and_write(const char *path, const char *text) {
 /* Tries to own the file `path`, whose text is then `text` ("host process time"); it stays open and locked,
    with this `descriptor`. If it belongs, or may belong, to another run, `holder` (`capacity` bytes) is its
    text. If it belonged to an ended run of this machine, it is removed, `holder` is the text that it had, and
-   the outcome is `again`. */
+   the outcome is `again`; where it cannot be removed, it is taken over, and the outcome is `taken`. */
 int battery_own(const char *path, const char *text, char *holder, int capacity, int *descriptor) {
   *descriptor = -1;
   int outcome = remove_of_ended(path, text, holder, capacity, descriptor);

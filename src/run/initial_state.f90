@@ -6,7 +6,7 @@ module battery_initial_state
   use battery_numbers, only: read_decimal
   use battery_findings, only: finding_type, findings_type, finding_of, add_finding, findings_text, &
     displayable_text
-  use battery_text, only: to_text, new_line_character
+  use battery_text, only: to_text, lower_case, new_line_character
   use battery_table, only: table_type, passage_type, passage_at, channel1, chamber_at, &
     moves_along_arc, outside, half_length, try_random_point
   use battery_engine, only: particles_type
@@ -21,9 +21,6 @@ module battery_initial_state
 
   !> Number of particles or lines between two checks for a stop request.
   integer, parameter :: particles_between_stop_checks = 65536
-
-  !> What is wrong with a line that is not of numbers.
-  character(len=*), parameter :: not_numbers = 'is not four finite numbers: '
 
 contains
 
@@ -100,11 +97,15 @@ contains
     type(particles_type), intent(out) :: particles
     type(error_type), allocatable, intent(out) :: error
     type(findings_type) :: findings
+    !> The first line that is not of four numbers, the number of further ones, and some of these.
     type(finding_type) :: no_numbers
+    integer :: further
+    character(len=:), allocatable :: further_lines
     character(len=:), allocatable :: problem, before, foreign
     real(wp) :: state(4)
     integer(int64) :: first, line_start, last, next
-    integer :: line, count, head, further
+    integer :: line, count, head
+    logical :: has_numbers
 
     call allocate_particle_arrays(particles, number, error)
     if (allocated(error)) return
@@ -113,6 +114,7 @@ contains
     count = 0
     head = 0
     further = 0
+    further_lines = ''
     before = ''
     foreign = ''
     do while (next <= len(text, int64))
@@ -134,23 +136,23 @@ contains
       if (first >= last) cycle
       if (text(first:first) == '#') cycle
       count = count + 1
-      call read_line(text(first:last - 1), table, state, problem)
+      call read_line(text(first:last - 1), table, state, has_numbers, problem)
       if (problem /= '') then
         foreign = foreign_byte_text(text(line_start:min(last, len(text, int64))))
         if (foreign /= '') problem = foreign
-        ! All lines may have such a byte, so many columns, or a sign that is no part of a number.
-        if (index(problem, not_numbers) == 1 .and. no_numbers%line > 0) then
-          further = further + 1
-        else if (index(problem, not_numbers) == 1) then
+        ! The first line may be the names of columns; all others may have the same fault.
+        if (count == 1) head = merge(1, 0, &
+          scan(lower_case(text(first:last - 1)), 'abcfghijklmnopqrstuvwxyz') > 0)
+        if (foreign /= '' .or. has_numbers .or. count == head) then
+          if (problem /= before) call add_finding(findings, finding_of(line, problem))
+        else if (no_numbers%line == 0) then
           no_numbers = finding_of(line, problem)
-        else if (problem /= before) then
-          call add_finding(findings, finding_of(line, problem))
+        else
+          further = further + 1
+          if (further <= 5) further_lines = further_lines//', '//to_text(line)
         end if
         if (foreign /= '') exit
         before = problem
-        ! It may be the names of columns.
-        if (count == 1 .and. verify(text(first:last - 1), blanks//',.+-0123456789deDE') > 0) &
-          head = 1
       else if (count <= number) then
         state(3:) = state(3:)/hypot(state(3), state(4))
         particles%x(count) = state(1)
@@ -159,8 +161,9 @@ contains
         particles%uy(count) = state(4)
       end if
     end do
+    if (further > 5) further_lines = further_lines//', ...'
     if (further > 0) no_numbers%value = no_numbers%value//'; further such lines: ' &
-      //to_text(further)
+      //to_text(further)//' ('//further_lines(3:)//')'
     if (no_numbers%line > 0) call add_finding(findings, no_numbers)
     if (foreign == '' .and. count /= number .and. count - head /= number) &
       call add_finding(findings, finding_of(0, 'has '//to_text(count)//' particles', &
@@ -202,10 +205,12 @@ contains
   end function before_crossing
 
   !> Parses one line of an initial file: its four numbers, and its problem (empty: none).
-  subroutine read_line(line, table, state, problem)
+  subroutine read_line(line, table, state, has_numbers, problem)
     character(len=*), intent(in) :: line
     type(table_type), intent(in) :: table
     real(wp), intent(out) :: state(4)
+    !> Whether the line has four numbers.
+    logical, intent(out) :: has_numbers
     character(len=:), allocatable, intent(out) :: problem
     !> Numbers up to this have finite squares.
     real(wp), parameter :: far = 0.25_wp*sqrt(huge(1.0_wp))
@@ -215,15 +220,17 @@ contains
     logical :: lost
 
     state = 0.0_wp
+    has_numbers = .false.
     call find_columns(line, first, last, problem)
     if (problem /= '') return
     do k = 1, 4
       call read_decimal(line(first(k):last(k)), state(k), problem)
       if (problem == '') cycle
-      problem = not_numbers//displayable_text(line(first(k):last(k)))//' ' &
+      problem = 'is not four finite numbers: '//displayable_text(line(first(k):last(k)))//' ' &
         //problem
       return
     end do
+    has_numbers = .true.
     if (maxval(abs(state(3:))) > 0.5_wp*huge(1.0_wp)) then
       problem = 'has a speed that is not finite; allowed: any above 0'
     else if (.not. hypot(state(3), state(4)) > tiny(1.0_wp)) then

@@ -10,6 +10,7 @@ module battery_input_files
     follow_links
   use battery_foreign_bytes, only: is_results_file
   use battery_namelist_input, only: check_bytes, read_plan, set_input_error
+  use battery_plan_checks, only: are_lengths_known
   use battery_initial_state, only: parse_particles, are_inside, before_crossing
   use battery_plan, only: plan_type, point_type, refuse_value, point_of, point_text, table_of
   implicit none (type, external)
@@ -31,10 +32,6 @@ contains
     !> All problems, one per line; code `exit_bad_input`.
     type(error_type), allocatable, intent(out) :: error
     character(len=:), allocatable :: text
-    character(len=*), parameter :: others(5) = [character(len=9) :: 'gate', 'run', 'precision', &
-      'output', 'limits']
-    logical :: has_table
-    integer :: k
 
     call read_input(file, longest_namelist, text, error)
     ! Of a file that is too long the first bytes are there.
@@ -46,13 +43,10 @@ contains
     end if
     call read_plan(text, file, plan)
     call check_files(plan)
-    ! There is a table to check the file with if all problems are in groups that say nothing of it.
-    associate (wrong => plan%settings%wrong_groups)
-      has_table = .not. plan%settings%has_skipped_text .and. len(wrong) == 1 + sum(merge(len_trim( &
-        others) + 1, 0, [(index(wrong, ' '//trim(others(k))//' ') > 0, k=1, size(others))]))
-    end associate
     call set_input_error(plan, error)
-    if (has_table) call use_initial_file(plan, error)
+    ! Without its lengths there is no table to check the file with.
+    if (.not. (plan%settings%has_skipped_text .or. plan%settings%has_wrong_table) &
+      .and. are_lengths_known(plan)) call use_initial_file(plan, error)
   end subroutine read_namelist
 
   !> Checks that an initial file is no pipe and begins one run, and that a new results file can be

@@ -21,7 +21,7 @@ module battery_plan_checks
   use battery_bounds, only: can_count_hits, finest, greatest_radius
   implicit none (type, external)
   private
-  public :: complete_plan
+  public :: complete_plan, are_lengths_known
 
   !> Largest number of tasks: points times replicas.
   integer(int64), parameter :: most_tasks = 10000000_int64
@@ -257,14 +257,14 @@ contains
     end do
   end function ranks_of
 
-  !> Whether no length, and no shape of the urns, was refused when it was parsed.
+  !> Whether no length was refused when it was parsed.
   pure logical function are_lengths_known(plan) result(known)
     type(plan_type), intent(in) :: plan
     integer :: k
 
     associate (all => plan%settings%all)
-      known = .not. any(all%given .and. .not. all%known .and. (all%key%name == 'urn_shape' .or. &
-        [(any(all(k)%key%place == [key_radius, key_width, key_length]), k=1, size(all))]))
+      known = .not. any(all%given .and. .not. all%known .and. &
+        [(any(all(k)%key%place == [key_radius, key_width, key_length]), k=1, size(all))])
     end associate
   end function are_lengths_known
 
@@ -277,19 +277,18 @@ contains
     type(error_type), allocatable :: error
     type(point_type) :: point
     character(len=:), allocatable :: reason, allowed
-    logical :: outlines_valid, lengths_known
+    logical :: table_known
     integer :: at
 
     call new_engine(plan%engine, engine, error)
     if (allocated(engine)) engine%time_step = plan%time_step
-    outlines_valid = has_valid_outlines(plan)
-    lengths_known = are_lengths_known(plan)
+    table_known = has_valid_outlines(plan) .and. are_lengths_known(plan)
     call move_alloc(plan%problems, others)
     allocate (plan%problems(0), plan%of_points%list(0))
     do at = 1, plan%point_count
       point = point_of(plan, at)
-      call check_point(plan, point, outlines_valid, lengths_known)
-      if (outlines_valid .and. lengths_known .and. size(others) + size(plan%problems) == 0) then
+      call check_point(plan, point, table_known)
+      if (table_known .and. size(others) + size(plan%problems) == 0) then
         call explain_refusal(engine, table_of(plan, point), reason, allowed)
         if (reason /= '') &
           call refuse_value(plan, 'engine', ''''//plan%engine//''' '//reason, allowed)
@@ -305,11 +304,11 @@ contains
   end subroutine check_points
 
   !> Checks one point: lengths, times, numbers of particles.
-  subroutine check_point(plan, point, outlines_valid, lengths_known)
+  subroutine check_point(plan, point, table_known)
     type(plan_type), intent(inout) :: plan
     type(point_type), intent(in) :: point
-    !> Whether the outlines of its urns are valid, and whether no length was refused.
-    logical, intent(in) :: outlines_valid, lengths_known
+    !> Whether the outlines of its urns are valid, and no length was refused.
+    logical, intent(in) :: table_known
     real(wp) :: radii(2), longest
     integer :: before
 
@@ -318,11 +317,11 @@ contains
     if (plan%shape == 'urn') radii = point%urn_radius(1)
     longest = max(point%channel(channel1)%length, open_length(point))
     ! No length is judged beside one that is not known.
-    if (lengths_known) call check_lengths(plan, point, radii, longest)
-    if (outlines_valid .and. size(plan%problems) == before) call check_outline_at(plan, point)
-    if (lengths_known .and. size(plan%problems) == before) call check_times(plan, radii(1), &
+    if (table_known) call check_lengths(plan, point, radii, longest)
+    if (table_known .and. size(plan%problems) == before) call check_outline_at(plan, point)
+    if (table_known .and. size(plan%problems) == before) call check_times(plan, radii(1), &
       max(radii(2), longest))
-    if (point%number == 0 .or. size(plan%problems) > before .or. .not. outlines_valid) return
+    if (point%number == 0 .or. size(plan%problems) > before .or. .not. table_known) return
     if (.not. plan%duration > 0.0_wp .and. plan%transient_collisions > 0 .and. &
       plan%transient_collisions < plan%collisions .and. plan%collisions <= point%number) &
       call refuse_value(plan, 'collisions', to_text(plan%collisions), 'above number, which is ' &

@@ -12,7 +12,7 @@
 !> exactly on the wall or chord that it reaches; each hit sets its speed to 1 by a Newton step.
 module battery_disc
   use battery_kinds, only: wp, int64, pi
-  use battery_channel, only: channel_type, channel1, channel2, no_opening => no_channel
+  use battery_channel, only: channel_type, is_open, channel1, channel2, no_opening => no_channel
   use battery_urn_shape, only: urn_shape_type, set_openings
   use battery_motion, only: meets_wall, meets_gate, meets_channel2, meets_nothing, slowest, &
     least_across, wall_kind
@@ -56,7 +56,7 @@ contains
     urn%area = pi*radius**2 - segment_area(channel1) - segment_area(channel2)
     urn%perimeter = radius*(2.0_wp*pi - 2.0_wp*angle(channel1) - 2.0_wp*angle(channel2))
     urn%reach = radius
-    urn%least_across = least_across*max(1.0_wp, maxval(channel%length)/radius)
+    urn%least_across = least_across*max(1.0_wp, maxval(channel%length, is_open(channel))/radius)
     urn%clear = radius
     urn%longest_step = radius
     urn%depth = urn%chord

@@ -445,7 +445,7 @@ contains
       y(j) = sign(min(abs(height), half_opening*inside), height)
       u_axial(j) = ux
       u_lateral(j) = uy
-      ! Rounding moves height and time alike.
+      ! The bound on the height moved the end along the path; the time follows.
       back = back + merge((height - y(j))*uy, 0.0_wp, ux < nearly_along)
       length(j) = first(j) + 2.0_wp*radius*c(j)*impacts(j) - back
     end do
@@ -473,6 +473,7 @@ contains
       height = urn%reach*hit_y(j)*norm - back*u_lateral(j)
       y(j) = sign(min(abs(height), (1.0_wp - 2.0_wp*epsilon(1.0_wp))*urn%half_width(channel)), &
         height)
+      ! As above.
       back = back + merge((height - y(j))*u_lateral(j), 0.0_wp, u_axial(j) < nearly_along)
       length(j) = first(j) + 2.0_wp*urn%reach*c(j)*impacts(j) - back
     end do

@@ -25,9 +25,9 @@ module battery_motion
   real(wp), parameter :: slowest = sqrt(tiny(1.0_wp))
 
   !> Who moves through an opening with a component across it not above this runs along it, up to
-  !> rounding: it does not enter the channel, in which it would never come to an end. In a disc with
-  !> a long channel, times l/r: `synchronous` moves all particles in each event, with a rounding in
-  !> units of the table.
+  !> rounding: it does not enter the channel, in which it would never come to an end. In a disc the
+  !> bound is larger by the length of the longest open channel over r (`least_across` of the urn):
+  !> `synchronous` moves all particles in each event, and their rounding grows with the table.
   real(wp), parameter :: least_across = 1.0e-12_wp
 
   !> State of a particle at its last event.

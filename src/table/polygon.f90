@@ -349,7 +349,7 @@ contains
   end subroutine find_next_side_robustly
 
   !> Places a particle at (`x`, `y`) on the side number `side`, and reflects its velocity (`ux`,
-  !> `uy`).
+  !> `uy`), which is upright after that if it is so up to rounding.
   pure subroutine reflect_from_side(polygon, side, x, y, ux, uy)
     type(polygon_type), intent(in) :: polygon
     integer, intent(in) :: side

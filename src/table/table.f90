@@ -275,9 +275,9 @@ contains
     real(wp), intent(in) :: x, y, ux
 
     associate (urn => table%urn(urn_at(table, x)))
-      yes = x*ux < 0.0_wp .and. abs(ux) > urn%least_across .and. abs(y) <= urn%half_width(channel1)
-      if (yes) yes = abs(x) > urn%channel_start(channel1) .and. nearest(abs(x), -1.0_wp) &
-        <= urn%channel_start(channel1)
+      yes = x*ux < 0.0_wp .and. abs(ux) > urn%least_across .and. abs(y) &
+        <= urn%half_width(channel1) .and. abs(x) > urn%channel_start(channel1) .and. &
+        nearest(abs(x), -1.0_wp) <= urn%channel_start(channel1)
     end associate
   end function enters_at_once
 

@@ -1,10 +1,10 @@
 /* A file system that lacks something: loaded before a program (LD_PRELOAD), it makes `flock`, and `fsync` of a
    folder or of a file that is open for reading only, fail with the error numbers in the variables NO_FLOCK,
    NO_FOLDER_SYNC and NO_SYNC_FOR_READING; with SIGNALS set, signals interrupt every second open, fsync, ftruncate
-   and close of journals and new results (a close is done); with NO_REMOVAL_OF_OPEN set, no file that is open is
-   removed, as in folders that a virtual machine shares with Windows; with NO_REPLACEMENT set, no rename replaces a
-   file; with NO_USER set, the machine does not know its users. The call that NO_CALL
-   names (read, pread64, close, opendir, readdir, stat, lstat, access, mkdir) with that in NO_CALL_WITH, from the
+   and close of journals and new results (a close is done); with NO_REMOVAL_OF_OPEN set, no file that this process
+   has open is removed, as in folders that a virtual machine shares with Windows; with NO_REPLACEMENT set, no
+   rename replaces a file; with NO_USER set, the machine does not know its users. The call that NO_CALL names
+   (read, pread64, close, opendir, readdir, stat, lstat, access, mkdir) with that in NO_CALL_WITH, from the
    NO_CALL_AFTER-th such call on, of paths that end with NO_CALL_OF; a renameat2 so named is done before. With
    HANGUP_HANDLER set, a handler of SIGHUP is there before the program begins, as UCX sets one. */
 #define _GNU_SOURCE

@@ -7,8 +7,9 @@
 !>   reflected there; beyond a wall of its channel, it is mirrored as often as needed. Each is a
 !>   wall collision. Its position and the normal are wrong by as much as the particle has overshot.
 !> - If it is beyond the chord of an opening, between the channel's walls and moving outwards, it
-!>   has entered the channel; short of the chord it has left it. Beyond the middle line or the
-!>   periodic line it has crossed that. All events of a step take place at its end: crossings first,
+!>   has entered the channel, unless it moves along the chord; on the chord or short of it, and not
+!>   moving inwards, it has left the channel. Beyond the middle line or the periodic line it has
+!>   crossed that. All events of a step take place at its end: crossings first,
 !>   then all entries, then the decisions of the gates (`battery_gate`).
 !>
 !> **Corners.** Only the position at the end of a step counts. So a path that hits a wall less than
@@ -263,7 +264,7 @@ contains
       end if
       if (abs(self%y(i)) > half_width) call mirror_in_channel(self, i, half_width, event_record)
       if (.not. inward) then
-        ! The particle is in the wall beside the channel.
+        ! The particle is on the chord, or in the wall beside the channel.
         if (depth <= 0.0_wp) call change_chamber(self, i, in_urn, half_width, 0.0_wp)
       else if (ahead < 0.0_wp) then
         call move_across_line(self, i, event_record)
