@@ -72,6 +72,9 @@ class Parser(argparse.ArgumentParser):
         rest, words = deque(sys.argv[1:] if args is None else args), []
         while rest:
             word = rest.popleft()
+            if word == "--":  # the rest are files; argparse would lose it
+                words += [f"./{one}" if one.startswith("-") else one for one in rest]
+                break
             name, given, value = word.partition("=")
             action = self._option_string_actions.get(name)
             if not isinstance(action, argparse._ExtendAction):

@@ -47,9 +47,10 @@ _RANK_OF_A_JOB = re.compile(
     r"|FLUX_(JOB_\w+|TASK_\w+|KVS_NAMESPACE|PMI_LIBRARY_PATH)|JSM_\w+|ALPS_APP_\w+"
     r"|PALS_(AP\w+|RANKID|LOCAL_\w+|NODEID|FD|SPOOL_DIR)"
 )
-# Where the ranks of a job are placed: for its ranks, mpirun exports these options of its own.
-_PLACES = re.compile(
-    r"OMPI_MCA_(rmaps_(base_(mapping|ranking)_\w+|ppr_\w+|rank_file_\w+)|orte_rankfile)"
+# Options of mpirun that it exports to its ranks: where these are placed, and how it prints.
+_OPTIONS = re.compile(
+    r"OMPI_MCA_(rmaps_(base_(mapping|ranking|display)_\w+|ppr_\w+|rank_file_\w+)"
+    r"|orte_(rankfile|xml_\w+|(tag|timestamp)_output|output_filename|display_\w+|max_restarts))"
 )
 
 # A warning of Open MPI 5 on hosts without a network: each rank writes it in parts, which are mixed
@@ -81,7 +82,7 @@ def own_environment() -> dict[str, str]:
         home = os.sep
     job = {name for name in os.environ if _RANK_OF_A_JOB.fullmatch(name)}
     if job:
-        job |= {name for name in os.environ if _PLACES.fullmatch(name)}
+        job |= {name for name in os.environ if _OPTIONS.fullmatch(name)}
     return {"HOME": home, **{name: one for name, one in os.environ.items() if name not in job}}
 
 

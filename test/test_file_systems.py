@@ -193,11 +193,16 @@ def test_overwrite_keeps_results_where_no_journal_can_begin(lacking: str, tmp_pa
     assert "out.h5 is complete" in run("case.nml", folder=tmp_path).stdout
 
 
-def test_results_that_were_renamed_though_the_answer_was_lost_are_there(
-    lacking: str, tmp_path: Path
+@pytest.mark.parametrize(
+    ("call", "end", "number"),
+    [("renameat2", "out.h5", errno.ESTALE), ("rename", "tasks/plan", errno.EEXIST),
+     ("rename", "tasks/plan", errno.ENOENT)],
+)  # fmt: skip
+def test_what_was_renamed_though_the_answer_was_lost_is_there(
+    lacking: str, tmp_path: Path, call: str, end: str, number: int
 ) -> None:
     write_case(CASE, tmp_path, scan={"replicas": 2})
-    away = call_failing(lacking, "renameat2", "out.h5", errno.ESTALE)
+    away = call_failing(lacking, call, end, number)
     ended = run("--quiet", "case.nml", folder=tmp_path, environment=away)
     assert (ended.returncode, ended.stderr) == (0, "")
     assert sorted(path.name for path in tmp_path.glob("out.h5*")) == ["out.h5"]

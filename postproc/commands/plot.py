@@ -45,6 +45,7 @@ from postproc.reading.grid import dataset_of, selected
 from postproc.reading.points import (
     by_point,
     files_of,
+    means,
     need_only,
     remark,
     say,
@@ -127,6 +128,9 @@ def main(arguments: list[str] | None = None) -> int:
     hidden = int(points["two_states"].sum()) if name in OF_MEANS else 0
     not_shown = f"in two states, not shown: {hidden} of {points.sizes['point']} points"
     notes = [remark(points), not_shown if hidden else ""]
+    full = int((means(points, "chi")[0] >= 1.0).sum()) if name == "characteristic" else 0
+    notes.append(f"U is infinite (chi = 1), not shown: {full} of {points.sizes['point']} points"
+                 if full else "")  # fmt: skip
     if "models" in signature(FIGURES[name]).parameters:
         discs = any(one.scatterers for one in points["circuit"].values)
         notes.append("no theory has discs in channel 2" if discs else "")

@@ -24,6 +24,7 @@ from postproc.reading.groups import series_of
 from postproc.reading.points import (
     JUMP,
     alike,
+    files_of,
     groups,
     keys_of,
     means,
@@ -360,7 +361,8 @@ def draw_characteristic(axes: Axes, points: xr.Dataset, models: Sequence[Model])
 
     n1 is the density of the emptier urn, J the current along the polarity. On a second axis the
     power J U, full at its maximum. The densities follow from the means of chi; in the homogeneous
-    state chi and J are those of fluctuations. Return the lines of U and of J U.
+    state chi and J are those of fluctuations. Points with chi = 1 are not shown: U is infinite.
+    Return the lines of U and of J U.
     """
     alike(points)
     across = WIDTH if WIDTH in keys_of(points) else across_of(points)[0]
@@ -370,6 +372,8 @@ def draw_characteristic(axes: Axes, points: xr.Dataset, models: Sequence[Model])
     closed = (points[WIDTH] == 0.0).values  # nothing flows: the open circuit
     current, error = (np.where(closed, 0.0, one) for one in means(points, "polarised_current"))
     voltage, deviation = voltage_of(*means(points, "chi"))
+    if not np.isfinite(voltage).any():
+        raise InputError(f"{files_of(points)}: U is infinite at all points, chi = 1")
     shown = axes.errorbar(current, voltage, deviation, error, fmt="o", color=style.BLUE,
                           mfc="none", ms=3.8, lw=0.7, label="$U$, measured")  # fmt: skip
     right = axes.twinx()

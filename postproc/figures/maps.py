@@ -19,6 +19,8 @@ from postproc.reading.points import (
     keys_of,
     means,
     need_only,
+    second_values,
+    with_first,
 )
 from postproc.theory.models import defaults
 
@@ -77,6 +79,12 @@ def map_axes(points: xr.Dataset) -> Keys:
     if not up:
         alone = across or "".join(keys)
         found = f"{alone} alone was scanned" if alone else "here is one point"
+        both = [name for name, one in second_values(points).items() if np.unique(one).size > 1]
+        if both:
+            raise cli.InputError(
+                f"a map needs two keys other than the start, {' and '.join(with_first(both))} "
+                "change together: battery-postproc table shows them"
+            )
     else:
         pairs = set(zip(keys[across], keys[up], strict=True))
         if any(len(set(one)) < len(pairs) for one in zip(*pairs, strict=True)):

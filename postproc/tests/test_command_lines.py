@@ -100,6 +100,7 @@ ODD: dict[str, dict[str, dict[str, object]]] = {
     },
     "scatterers": {"table": {"channel2_width": 0.3, "scatterers": [0.0, 0.0, 0.05]}},
     "map": {"scan": {"threshold": [1, 2], "channel2_width": [0.01, 0.05]}},
+    "all": {"particles": {"number": 1}},
     "bare": {"output": BARE},
 }
 WINDOW = "--theory=window"  # of the theories of a figure's own choice one takes seconds
@@ -155,6 +156,7 @@ def test_unusual_results_have_an_answer(
         ("phase_diagram map.h5 --point 1", "a map needs two keys other than the start"),
         ("curves map.h5 --point 4", "point 4 is not one of 0 to 3"),
         ("curves closed.h5", "no point has a mean of 'polarised_current'"),
+        ("characteristic all.h5", "U is infinite at all points, chi = 1"),
         ("characteristic closed.h5", "no point has a mean of 'polarised_current'"),
     ],
 )  # fmt: skip
@@ -192,6 +194,14 @@ def test_values_of_an_option_end_where_files_begin(
         assert (given.files, given.theory) == (["a.h5", "b.h5"], names.split())
     except SystemExit:
         assert names in capsys.readouterr().err
+
+
+def test_names_of_files_behind_two_dashes_may_begin_with_one() -> None:
+    options = cli.parser("report", None)
+    options.add_argument("files", nargs="+")
+    add_models(options)
+    given = options.parse_args(["--theory", "window", "--", "-a.h5", "b.h5"])
+    assert (given.files, given.theory) == (["./-a.h5", "b.h5"], ["window"])
 
 
 @pytest.mark.parametrize(

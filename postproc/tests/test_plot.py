@@ -208,6 +208,10 @@ def test_a_map_is_of_two_keys_and_has_the_lines_that_are_asked_for(
     ):  # fmt: skip
         with pytest.raises(InputError, match=f"{said}: figure 'curves' shows it"):
             plot.phase_diagram(one, ax=Figure().add_subplot())
+    pairs = {"threshold": [1, 2], "threshold2": [2, 1], "replicas": 1}
+    path = results_of(tmp_path / "pairs.h5", scan=pairs, output=BARE, **SMALL)
+    with pytest.raises(InputError, match="threshold and threshold2 change together: battery-p"):
+        plot.phase_diagram(postproc.open_results(path), ax=Figure().add_subplot())
     starts = {"threshold": 2, "urn1_fraction": [0.5, 0.7, 1.0], "replicas": 1}
     path = results_of(tmp_path / "starts.h5", scan=starts, output=BARE, **SMALL)
     said = "other than the start, urn1_fraction alone was scanned: figure 'relaxation' shows it"

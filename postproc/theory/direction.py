@@ -387,7 +387,38 @@ def growth(circuit: Circuit) -> float:
     closed = float(circuit.channel2_width) < NARROWEST * float(circuit.urn_radius)
     if not known or (closed and held.across[0, 0] > held.through[0]):
         raise _no_flows(circuit)
-    return _excess(held)
+    found = _excess(held)
+    return -found if found < 0.0 and _growing_modes(equations, held) > 1 else found
+
+
+def _growing_modes(equations: Directions, held: Held) -> int:
+    """Return how many modes of small differences between equal urns grow, given flows close by.
+
+    A circuit that is held tells by its sign only whether their number is odd. Where directions
+    relax slowly, in a narrow channel 1 beside a narrower channel 2, a second mode may grow.
+
+    Equal urns have F and H of the cosine law. A difference phi of F, chi of H gives
+
+        B = (1 - 2 q) phi - 2 F (dq/dF) phi,  out of an urn  K11 B - K21 chi  and  K12 B - K22 chi.
+    """
+    rate, urn, size = float(held.entries[:, 0].mean()), equations.urns[0], POLYNOMIALS
+    threshold, unit = int(equations.circuit.threshold), np.eye(size)
+
+    def passing(entries: Floats) -> Floats:
+        density = np.maximum(entries @ equations.basis, 0.0) * equations.weights
+        return fate.passing(threshold, density.sum(), equations.stays, density / density.sum())
+
+    step = 1e-4 * rate
+    change = [(passing(rate * unit[0] + step * one) - passing(rate * unit[0] - step * one))
+              / (2.0 * step) for one in unit]  # fmt: skip
+    weighted = equations.basis * equations.weights
+    sent_back = unit - 2.0 * (weighted * passing(rate * unit[0])) @ equations.basis.T
+    sent_back -= 2.0 * rate * weighted @ np.array(change).T
+    leaving = np.block(
+        [[urn.kernel[0, out].T @ sent_back, -urn.kernel[1, out].T] for out in (0, 1)]
+    )
+    rates = (leaving - np.eye(2 * size)) / np.repeat(urn.stay[:, 0], size)
+    return int((linalg.eigvals(rates).real > 0.0).sum())
 
 
 def homogeneous_kind(circuit: Circuit) -> str:
@@ -419,7 +450,7 @@ def held_states(circuit: Circuit) -> tuple[tuple[Held, str], ...]:
             latest[0] = equations.held(share, latest[0])
             return _excess(latest[0])
 
-        optimize.brentq(excess, other, one, xtol=1e-5)
+        optimize.brentq(excess, other, one, xtol=1e-5 * min(1.0, one / LEAST_SHARE))
         found.append((latest[0], "stable" if before > 0.0 else "unstable"))
     last = scan(circuit)[-1][1]
     if circuit.alike and _excess(last) > 0.0:  # all that channel 2 does not bring is in one urn
@@ -443,11 +474,14 @@ def stationary_states(circuit: Circuit) -> list[State]:
     found.
     """
     number, found = float(circuit.number), []
-    kinds = [kind for _, kind in held_states(circuit)]
+    held_ones = held_states(circuit)
+    kinds = [kind for _, kind in held_ones]
+    if circuit.alike and kinds[:1] == ["unstable"] and homogeneous_kind(circuit) == "unstable":
+        held_ones = held_ones[1:]  # where a second mode of equal urns no longer grows
     if not circuit.alike and {"stable"} != {*kinds[:1], *kinds[-1:]}:
         raise InputError(f"theory direction: it does not find all states, {circuit.brief}")
     closed = float(circuit.channel2_width) == 0.0  # nothing flows there, what represents it leaks
-    for held, kind in held_states(circuit):
+    for held, kind in held_ones:
         second = float(held.in_half[1])
         chi = abs(2.0 * second - number) / number
         state = State(second, kind, chi, 0.0 if closed else held.net_current)

@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     Floats = NDArray[np.float64]
 
 STEPS = 100  # of M
-LONGEST = 1e12  # lifetimes above this count as infinite
+LONGEST = 1e9  # lifetimes above this count as infinite, in relaxation times of directions
 
 
 @dataclass(frozen=True)
@@ -98,7 +98,7 @@ class Settling:
         times = linalg.spsolve(equations.tocsc(), np.ones(lag.size)).reshape(lag.shape)
         first = offset + start
         found = float(np.interp(first, settled, times[first - second[0]]))
-        return found if 0.0 < found < LONGEST else math.inf
+        return found if 0.0 < found < LONGEST * self.time else math.inf
 
 
 def passages(circuit: Circuit) -> Callable[[int, int], float]:

@@ -189,8 +189,8 @@ contains
       .not. entry%refused) then
       entry%refused = .true.
       if (name /= reader%key_in_parts) call add_form_finding(reader, name &
-        //': parts of a key cannot be set; allowed: the whole list, '//displayable_text(key) &
-        //' = 1, 2, ... or '//displayable_text(key)//'(1:2) = 1, 2', problems, line)
+        //': parts of a key cannot be set; allowed: '//displayable_text(key) &
+        //' = ..., with all its values and no index', problems, line)
       reader%key_in_parts = name
     end if
     entry%group = reader%group

@@ -176,14 +176,19 @@ static int is_file_of(const char *path, const struct stat *file) {
 
 /* Renames a file in place of another. Some file servers do not replace a file (old SMB: EEXIST; SFTP without
    an extension: EPERM): there it is removed before, and a stop between the two leaves the file under its old
-   name alone. */
+   name alone. A file server may rename it and the answer be lost, so that the call fails. */
 int battery_rename(const char *old, const char *new) {
-  if (rename(old, new) == 0) return 0;
-  return (errno == EEXIST || errno == EPERM) && unlink(new) == 0 && rename(old, new) == 0 ? 0 : errno;
+  struct stat mine;
+  if (lstat(old, &mine) != 0) return errno;
+  int status = rename(old, new) == 0 ? 0 : errno;
+  if (is_file_of(new, &mine)) return 0;
+  if (status == EEXIST || status == EPERM)
+    status = unlink(new) == 0 && rename(old, new) == 0 ? 0 : errno;
+  return status;
 }
 
 /* Renames a file to a name that no file has, or only the file with the given identity; -1: another
-   file has it. A file server may rename it and the answer be lost, so that the call fails. */
+   file has it. As `battery_rename`, the answer of a server may be lost. */
 int battery_put_in_place(const char *old, const char *new, const int64_t seen[5]) {
   const int64_t nothing[5] = {0};
   int64_t now[5] = {0};
@@ -205,8 +210,7 @@ int battery_put_in_place(const char *old, const char *new, const int64_t seen[5]
     if (chown(old, found.st_uid, found.st_gid) != 0 && chown(old, (uid_t)-1, found.st_gid) != 0)
       mode &= ~(mode_t)070;
     (void)!chmod(old, mode);
-    status = battery_rename(old, new);
-    return is_file_of(new, &mine) ? 0 : status;
+    return battery_rename(old, new);
   }
 #ifdef RENAME_NOREPLACE
   status = renameat2(AT_FDCWD, old, AT_FDCWD, new, RENAME_NOREPLACE) == 0 ? 0 : errno;

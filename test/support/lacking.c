@@ -5,7 +5,7 @@
    has open is removed, as in folders that a virtual machine shares with Windows; with NO_REPLACEMENT set, no
    rename replaces a file; with NO_USER set, the machine does not know its users. The call that NO_CALL names
    (read, pread64, close, opendir, readdir, stat, lstat, access, mkdir) with that in NO_CALL_WITH, from the
-   NO_CALL_AFTER-th such call on, of paths that end with NO_CALL_OF; a renameat2 so named is done before. With
+   NO_CALL_AFTER-th such call on, of paths that end with NO_CALL_OF; a rename or renameat2 so named is done before. With
    HANGUP_HANDLER set, a handler of SIGHUP is there before the program begins, as UCX sets one. */
 #define _GNU_SOURCE
 #include <dirent.h>
@@ -162,7 +162,8 @@ int rename(const char *old, const char *new) {
     errno = number_in("NO_REPLACEMENT");
     return -1;
   }
-  return NEXT(int (*)(const char *, const char *), "rename")(old, new);
+  int done = NEXT(int (*)(const char *, const char *), "rename")(old, new);
+  return fails("rename", new) ? -1 : done;
 }
 
 struct passwd *getpwuid(uid_t user) {
