@@ -24,6 +24,7 @@ HEAD = (
     "&particles number = 40 /\n&gate threshold = 2 /\n&run collisions = 20000 /\n"
     "&output file = 'o.h5', snapshot_times = 0, 0.25, 5, final_state = T /\n"
 )
+EXACT = ("excursion", "collision", "synchronous")
 SQUARE = "1,-1, 1,1, -1,1, -1,-1"
 # It reaches in, and over channel 1.
 REACHING = (
@@ -205,8 +206,8 @@ SLANTED = (
     "urn_shape = 'polygon', channel1_width = 1.3, channel2_width = 1.3, urn_vertices = "
     "1,-1.3, 1,1.3, 0,3.175, -3,3.175, -3,-3.175, 0,-3.175"
 )
-ALONG = {
-    # A side below or above sends the particle along the opening of channel 1 or of channel 2.
+# A side below or above sends the particle along the opening of channel 1 or of channel 2.
+ALONG_IN_POLYGONS = {
     "gate": (SLANTED,
              "-0.5259515570934256 -1.317409169550173 0.8304498269896193 0.5570934256055363", 0.5),
     "channel2": ("urn_shape = 'polygon', channel1_width = 0.5, channel2_width = 1.3, "
@@ -217,6 +218,8 @@ ALONG = {
     "gate, from within it": (SLANTED, "-0.49999999999999956 0.1366 3e-16 1", 0.5),
     "gate, from its line": (SLANTED, "-0.5 0.37 2.2e-17 1", 0.5),
     "short gate": (f"{SLANTED}, channel1_length = 0.01", "-0.005 0.37 3e-14 1", 0.005),
+}  # fmt: skip
+ALONG_IN_DISCS = {
     "disc": ("urn_radius = 4.25, channel1_width = 4, channel2_width = 0",
              "-0.50732421875 -2.004913330078125 240 161", 0.5),
     "disc, exactly": ("shape = 'urn', urn_radius = 0.8149801915519674, channel1_length = 2.25, "
@@ -243,16 +246,17 @@ def flown(folder: Path, table: str, start: str, of_run: str, output: str) -> Pat
 
 @pytest.mark.parametrize(
     ("case", "engine"),
-    [(case, engine) for case in ALONG
-     for engine in ("excursion", "collision", "synchronous", "timestep")
-     # By steps, reflections from an arc are approximations.
-     if engine != "timestep" or "disc" not in case],
-)  # fmt: skip
+    [
+        *((case, engine) for case in ALONG_IN_POLYGONS | ALONG_IN_DISCS for engine in EXACT),
+        # By steps, reflections from an arc are approximations.
+        *((case, "timestep") for case in ALONG_IN_POLYGONS),
+    ],
+)
 def test_who_is_reflected_along_an_opening_passes_over_it(
     tmp_path: Path, case: str, engine: str
 ) -> None:
     """In the channel it would run from wall to wall for ever, and a gate would count it."""
-    table, start, chord = ALONG[case]
+    table, start, chord = (ALONG_IN_POLYGONS | ALONG_IN_DISCS)[case]
     step = ", time_step = 0.0009765625" if engine == "timestep" else ""
     path = flown(tmp_path, table, start, f"duration = 5, engine = '{engine}'{step}",
                  "final_state = T, event_log = T")  # fmt: skip
@@ -279,7 +283,7 @@ UPRIGHT = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("engine", ["excursion", "collision", "synchronous"])
+@pytest.mark.parametrize("engine", EXACT)
 def test_the_length_of_a_closed_channel_changes_nothing(tmp_path: Path, engine: str) -> None:
     """Its particle enters the gate nearly along it."""
     ends = []
@@ -293,7 +297,7 @@ def test_the_length_of_a_closed_channel_changes_nothing(tmp_path: Path, engine: 
     assert ends[0][0] > -0.5
 
 
-@pytest.mark.parametrize("engine", ["excursion", "collision", "synchronous"])
+@pytest.mark.parametrize("engine", EXACT)
 @pytest.mark.parametrize("case", UPRIGHT)
 def test_who_moves_nearly_along_an_opening_flies_freely_at_first(
     tmp_path: Path, case: str, engine: str
@@ -308,7 +312,7 @@ def test_who_moves_nearly_along_an_opening_flies_freely_at_first(
     assert moved == pytest.approx([0.0625 * upwards, 0.125 * upwards], abs=1e-11)
 
 
-@pytest.mark.parametrize("engine", ["excursion", "collision", "synchronous"])
+@pytest.mark.parametrize("engine", EXACT)
 def test_from_corner_to_corner_nobody_flies_outside(tmp_path: Path, engine: str) -> None:
     """Turned by a sharp corner along the line that joins it to another one, over a notch."""
     (tmp_path / "start.txt").write_text("-1.5 -0.5 0.6 0.8\n")
