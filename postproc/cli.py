@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import errno
 import importlib
 import math
 import os
@@ -209,7 +210,14 @@ def replaced(path: Path) -> Iterator[Path]:
     try:
         if path.is_file() or not path.exists():
             yield half
-            half.replace(final)
+            try:
+                half.replace(final)
+            except OSError as problem:
+                # as in files.c: some file servers replace no file
+                if problem.errno not in (errno.EEXIST, errno.EPERM):
+                    raise
+                final.unlink()
+                half.replace(final)
         else:  # `final` is no place of a pipe
             yield path
     except OSError as problem:

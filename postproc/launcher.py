@@ -49,8 +49,9 @@ _RANK_OF_A_JOB = re.compile(
 )
 # Options of mpirun that it exports to its ranks: where these are placed, and how it prints.
 _OPTIONS = re.compile(
-    r"OMPI_MCA_(rmaps_(base_(mapping|ranking|display)_\w+|ppr_\w+|rank_file_\w+)"
-    r"|orte_(rankfile|xml_\w+|(tag|timestamp)_output|output_filename|display_\w+|max_restarts))"
+    r"OMPI_MCA_(rmaps_(?!base_oversubscribe)\w+"
+    r"|orte_(rankfile|default_hostfile|(xml|output|display|debug)_\w+|(tag|timestamp)_output"
+    r"|execute_quiet|leave_session_attached|max_restarts))"
 )
 
 # A warning of Open MPI 5 on hosts without a network: each rank writes it in parts, which are mixed

@@ -55,7 +55,8 @@ def group_of(data: xr.Dataset, group: str) -> xr.Dataset:
     places = task.values.ravel()
     file = np.ravel(data["file"]) if "file" in data else np.zeros(places.size)
     parts = []
-    for at in np.unique(file[places >= 0]).astype(int):
+    # of a dataset without any task the first file has the names
+    for at in np.unique(file[places >= 0]).astype(int) if (places >= 0).any() else (0,):
         path, mine = files[at], np.flatnonzero(file == at)
         with ResultsFile(Path(path), quiet=True) as opened, opened.damage_reported():
             if created(data)[at] not in ("", str(opened.attributes.get("created", ""))):
@@ -147,11 +148,22 @@ def each_series(points: xr.Dataset) -> Iterator[tuple[int, xr.Dataset]]:
             yield first + int(at), one.assign_coords(middle=0.5 * (begin + one["time"]))
 
 
+def _need_complete(points: xr.Dataset, point: int, replica: int) -> None:
+    """Raise `InputError` unless a task is complete."""
+    done = points["complete"].values[point]
+    if not done[replica]:
+        others = ", ".join(map(str, np.flatnonzero(done))) or "none"
+        told = f"replica {replica} of point {point} is not complete; complete: {others}"
+        raise InputError(f"{files_of(points)}: {told}")
+
+
 def series_of(points: xr.Dataset, point: int, replica: int | None = None) -> list[xr.Dataset]:
     """Return the series of a complete replica of a point, or of all (`each_series`).
 
     Raises `InputError` if they are empty.
     """
+    if replica is not None:
+        _need_complete(points, point, replica)
     replicas = slice(None) if replica is None else [replica]
     found = [one for _, one in each_series(points.isel(point=[point], replica=replicas))]
     if not found and points["complete"][point].any():
@@ -161,6 +173,7 @@ def series_of(points: xr.Dataset, point: int, replica: int | None = None) -> lis
 
 def snapshots_of(points: xr.Dataset, point: int, replica: int) -> list[Snapshot]:
     """Return all snapshots of a task that it has reached."""
+    _need_complete(points, point, replica)
     one = points.isel(point=point, replica=replica)
     found = _checked(one, "snapshots", ("time", "x", "y", "ux", "uy"))
     found = found.isel(particle=slice(int(one["number"]))).dropna("time")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import resource
 import subprocess
@@ -194,6 +195,25 @@ def test_values_of_an_option_end_where_files_begin(
         assert (given.files, given.theory) == (["a.h5", "b.h5"], names.split())
     except SystemExit:
         assert names in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("number", [errno.EEXIST, errno.EPERM])
+def test_a_file_is_written_again_where_a_rename_replaces_none(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, number: int
+) -> None:
+    rename = os.replace
+
+    def replace(old: Path, new: Path) -> None:
+        if Path(new).exists():
+            raise OSError(number, os.strerror(number))
+        rename(old, new)
+
+    monkeypatch.setattr(os, "replace", replace)
+    for text in ("first", "second"):
+        with cli.replaced(tmp_path / "a") as file:
+            file.write_text(text)
+        assert (tmp_path / "a").read_text() == text
+    assert len(list(tmp_path.iterdir())) == 1
 
 
 def test_names_of_files_behind_two_dashes_may_begin_with_one() -> None:

@@ -61,6 +61,7 @@ def test_a_program_is_a_job_of_its_own_with_the_settings_of_its_user(
     job |= {"FLUX_JOB_ID", "FLUX_TASK_RANK", "JSM_JSRUN_PORT", "ALPS_APP_ID", "PALS_RANKID"}
     options = {"OMPI_MCA_rmaps_base_mapping_policy", "OMPI_MCA_rmaps_ppr_n_pernode"}
     options |= {"OMPI_MCA_orte_rankfile", "OMPI_MCA_orte_xml_output", "OMPI_MCA_orte_tag_output"}
+    options |= {"OMPI_MCA_rmaps_base_cpus_per_rank", "OMPI_MCA_orte_default_hostfile"}
     for name in users | job | options:
         monkeypatch.setenv(name, "1")
     kept = own_environment().keys()

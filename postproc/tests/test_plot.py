@@ -802,6 +802,13 @@ def test_merged_results_have_their_series_each_to_its_end(tmp_path: Path) -> Non
         shown = merged["urn1_number"].isel(replica=at).values.ravel()
         assert shown[: own.size].tolist() == own.tolist()
         assert np.isnan(shown[own.size :]).all()
+    more = results_of(tmp_path / "more.h5", scan={"replicas": 2, "threshold": 3},
+                      run={"duration": 50}, particles={"number": 200})  # fmt: skip
+    joined = postproc.merge([paths[0], more])
+    (at,) = np.flatnonzero(joined["threshold"] != 3)
+    assert joined.isel(threshold=at, replica=1).series["urn1_number"].isnull().all()
+    with pytest.raises(InputError, match="replica 1 of point 0 is not complete; complete: 0"):
+        plot.flows(joined.isel(threshold=at), ax=Figure().add_subplot(), replica=1)
     both = postproc.merge([postproc.merge(paths[:1]), paths[1]])
     joined = xr.concat([short, long], "replica")
     assert joined.isel(replica=[0]).series["urn1_number"].notnull().any()

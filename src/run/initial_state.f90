@@ -6,7 +6,7 @@ module battery_initial_state
   use battery_numbers, only: read_decimal
   use battery_findings, only: finding_type, findings_type, finding_of, add_finding, findings_text, &
     displayable_text
-  use battery_text, only: to_text, lower_case, new_line_character
+  use battery_text, only: to_text, lower_case, string_type, new_line_character
   use battery_table, only: table_type, passage_type, passage_at, channel1, chamber_at, &
     moves_along_arc, outside, half_length, try_random_point
   use battery_engine, only: particles_type
@@ -18,6 +18,12 @@ module battery_initial_state
 
   !> Characters that separate the numbers of a line, besides commas.
   character(len=*), parameter :: blanks = ' '//achar(9)
+
+  !> Faults of a line.
+  integer, parameter :: of_columns = 1, of_commas = 2, of_numbers = 3, of_speed = 4, of_place = 5, &
+    of_arc = 6
+  !> Number of further lines with the same fault whose numbers are given.
+  integer, parameter :: most_named = 20
 
   !> Number of particles or lines between two checks for a stop request.
   integer, parameter :: particles_between_stop_checks = 65536
@@ -97,15 +103,14 @@ contains
     type(particles_type), intent(out) :: particles
     type(error_type), allocatable, intent(out) :: error
     type(findings_type) :: findings
-    !> The first line that is not of four numbers, the number of further ones, and some of these.
-    type(finding_type) :: no_numbers
-    integer :: further
-    character(len=:), allocatable :: further_lines
-    character(len=:), allocatable :: problem, before, foreign
+    !> The first line with each fault, the number of further ones, and numbers of some of these.
+    type(finding_type) :: first_of(of_arc)
+    integer :: further(of_arc)
+    type(string_type) :: further_lines(of_arc)
+    character(len=:), allocatable :: problem, foreign
     real(wp) :: state(4)
     integer(int64) :: first, line_start, last, next
-    integer :: line, count, head
-    logical :: has_numbers
+    integer :: line, count, head, fault
 
     call allocate_particle_arrays(particles, number, error)
     if (allocated(error)) return
@@ -114,8 +119,6 @@ contains
     count = 0
     head = 0
     further = 0
-    further_lines = ''
-    before = ''
     foreign = ''
     do while (next <= len(text, int64))
       first = next
@@ -136,23 +139,24 @@ contains
       if (first >= last) cycle
       if (text(first:first) == '#') cycle
       count = count + 1
-      call read_line(text(first:last - 1), table, state, has_numbers, problem)
+      call read_line(text(first:last - 1), table, state, fault, problem)
       if (problem /= '') then
         foreign = foreign_byte_text(text(line_start:min(last, len(text, int64))))
         if (foreign /= '') problem = foreign
         ! The first line may be the names of columns; all others may have the same fault.
         if (count == 1) head = merge(1, 0, &
           scan(lower_case(text(first:last - 1)), 'abcfghijklmnopqrstuvwxyz') > 0)
-        if (foreign /= '' .or. has_numbers .or. count == head) then
-          if (problem /= before) call add_finding(findings, finding_of(line, problem))
-        else if (no_numbers%line == 0) then
-          no_numbers = finding_of(line, problem)
+        if (foreign /= '' .or. count == head) then
+          call add_finding(findings, finding_of(line, problem))
+        else if (first_of(fault)%line == 0) then
+          first_of(fault) = finding_of(line, problem)
+          further_lines(fault)%text = ''
         else
-          further = further + 1
-          if (further <= 5) further_lines = further_lines//', '//to_text(line)
+          further(fault) = further(fault) + 1
+          if (further(fault) <= most_named) &
+            further_lines(fault)%text = further_lines(fault)%text//', '//to_text(line)
         end if
         if (foreign /= '') exit
-        before = problem
       else if (count <= number) then
         state(3:) = state(3:)/hypot(state(3), state(4))
         particles%x(count) = state(1)
@@ -161,10 +165,13 @@ contains
         particles%uy(count) = state(4)
       end if
     end do
-    if (further > 5) further_lines = further_lines//', ...'
-    if (further > 0) no_numbers%value = no_numbers%value//'; further such lines: ' &
-      //to_text(further)//' ('//further_lines(3:)//')'
-    if (no_numbers%line > 0) call add_finding(findings, no_numbers)
+    do fault = 1, size(first_of)
+      if (first_of(fault)%line == 0) cycle
+      if (further(fault) > 0) first_of(fault)%value = first_of(fault)%value &
+        //'; further such lines: '//to_text(further(fault))//' ('//further_lines(fault)%text(3:) &
+        //trim(merge(', ...', '     ', further(fault) > most_named))//')'
+      call add_finding(findings, first_of(fault))
+    end do
     if (foreign == '' .and. count /= number .and. count - head /= number) &
       call add_finding(findings, finding_of(0, 'has '//to_text(count)//' particles', &
       to_text(number)//', as &particles number says'))
@@ -205,12 +212,12 @@ contains
   end function before_crossing
 
   !> Parses one line of an initial file: its four numbers, and its problem (empty: none).
-  subroutine read_line(line, table, state, has_numbers, problem)
+  subroutine read_line(line, table, state, fault, problem)
     character(len=*), intent(in) :: line
     type(table_type), intent(in) :: table
     real(wp), intent(out) :: state(4)
-    !> Whether the line has four numbers.
-    logical, intent(out) :: has_numbers
+    !> Which fault a problem is.
+    integer, intent(out) :: fault
     character(len=:), allocatable, intent(out) :: problem
     !> Numbers up to this have finite squares.
     real(wp), parameter :: far = 0.25_wp*sqrt(huge(1.0_wp))
@@ -220,9 +227,11 @@ contains
     logical :: lost
 
     state = 0.0_wp
-    has_numbers = .false.
+    fault = of_columns
     call find_columns(line, first, last, problem)
+    if (index(problem, 'has a comma') == 1) fault = of_commas
     if (problem /= '') return
+    fault = of_numbers
     do k = 1, 4
       call read_decimal(line(first(k):last(k)), state(k), problem)
       if (problem == '') cycle
@@ -230,7 +239,7 @@ contains
         //problem
       return
     end do
-    has_numbers = .true.
+    fault = of_speed
     if (maxval(abs(state(3:))) > 0.5_wp*huge(1.0_wp)) then
       problem = 'has a speed that is not finite; allowed: any above 0'
     else if (.not. hypot(state(3), state(4)) > tiny(1.0_wp)) then
@@ -242,9 +251,11 @@ contains
       if (.not. lost) lost = chamber_at(table, state(1), state(2), rounding*half_length(table)) &
         == outside
       if (lost) then
+        fault = of_place
         problem = 'lies outside the table: x = '//to_text(state(1))//', y = '//to_text(state(2))
       else if (moves_along_arc(table, state(1), state(2), state(3)/hypot(state(3), state(4)), &
         state(4)/hypot(state(3), state(4)))) then
+        fault = of_arc
         problem = 'moves along the arc of its urn, which it would hit without end; allowed: ' &
           //'another direction, or a place farther from the arc'
       end if

@@ -11,7 +11,7 @@ module battery_plan_checks
     point_of, table_of, rounded, not_given
   use battery_scatterer_checks, only: check_scatterers
   use battery_settings, only: is_given, is_refused
-  use battery_table, only: channel1, channel2, longest_run
+  use battery_table, only: channel1, channel2, is_open, longest_run
   use battery_text, only: to_text
   use battery_gsl, only: sort_order
   use battery_identity, only: twelve_digits
@@ -317,7 +317,7 @@ contains
     if (plan%shape == 'urn') radii = point%urn_radius(1)
     longest = max(point%channel(channel1)%length, open_length(point))
     ! No length is judged beside one that is not known.
-    if (table_known) call check_lengths(plan, point, radii, longest)
+    if (table_known) call check_lengths(plan, point, radii)
     if (table_known .and. size(plan%problems) == before) call check_outline_at(plan, point)
     if (table_known .and. size(plan%problems) == before) call check_times(plan, radii(1), &
       max(radii(2), longest))
@@ -342,12 +342,13 @@ contains
   end subroutine check_point
 
   !> Checks that openings fit into the urns, and that no length is too small relative to another.
-  subroutine check_lengths(plan, point, radii, longest)
+  subroutine check_lengths(plan, point, radii)
     type(plan_type), intent(inout) :: plan
     type(point_type), intent(in) :: point
-    !> Least and greatest radius; length of the longest open channel.
-    real(wp), intent(in) :: radii(2), longest
+    !> Least and greatest radius.
+    real(wp), intent(in) :: radii(2)
     character(len=*), parameter :: width_keys(2) = ['channel1_width', 'channel2_width']
+    character(len=*), parameter :: length_keys(2) = ['channel1_length', 'channel2_length']
     character(len=12) :: size_key
     integer :: before, k
 
@@ -356,10 +357,7 @@ contains
     call check_range(plan, trim(size_key), radii(1), 1.0_wp/greatest_radius, greatest_radius, &
       of_powers)
     if (size(plan%problems) > before) return
-    call check_beside(trim(size_key), radii(2), longest)
-    call check_beside('channel1_length', point%channel(channel1)%length, open_length(point))
-    if (open_length(point) > 0.0_wp) call check_beside('channel2_length', &
-      point%channel(channel2)%length, point%channel(channel1)%length)
+    call check_proportions()
     ! Relative to a length that is not allowed, no other can be checked.
     if (size(plan%problems) > before) return
     ! Close to the diameter, the remaining arcs and area lose their digits as well.
@@ -368,22 +366,38 @@ contains
         if (width >= 2.0_wp*radii(1)) then
           call refuse_value(plan, key, to_text(width), &
             'below 2 urn_radius, which is '//to_text(2.0_wp*radii(1)))
-        else if (width > 0.0_wp) then
-          call check_range(plan, key, width, finest*max(radii(2), longest), &
-            (2.0_wp - finest)*radii(1), of_widths)
+        else
+          call check_range(plan, key, width, 0.0_wp, (2.0_wp - finest)*radii(1), of_widths)
         end if
       end associate
     end do
 
   contains
 
-    !> Refuses a length that is too small relative to an urn or to `other` (0: there is none).
-    subroutine check_beside(key, length, other)
-      character(len=*), intent(in) :: key
-      real(wp), intent(in) :: length, other
+    !> Refuses the longest length if the shortest is too small relative to it; the shortest, if of
+    !> the two it alone is given. A closed channel has no length.
+    subroutine check_proportions()
+      character(len=15) :: keys(6)
+      real(wp) :: lengths(6)
+      logical :: is_there(6)
+      integer :: shortest, longest, refused, other
 
-      call check_range(plan, key, length, finest*max(radii(1), other), radii(1)/finest, of_lengths)
-    end subroutine check_beside
+      keys(:2) = size_key
+      keys(3:4) = length_keys
+      keys(5:) = width_keys
+      lengths = [radii, point%channel%length, point%channel%width]
+      is_there(:2) = .true.
+      is_there(3:4) = is_open(point%channel)
+      is_there(5:) = is_open(point%channel)
+      longest = maxloc(lengths, 1, is_there)
+      shortest = minloc(lengths, 1, is_there)
+      refused = longest
+      if (is_given(plan%settings, trim(keys(shortest))) .and. &
+        .not. is_given(plan%settings, trim(keys(longest)))) refused = shortest
+      other = shortest + longest - refused
+      call check_range(plan, trim(keys(refused)), lengths(refused), finest*lengths(other), &
+        lengths(other)/finest, of_lengths)
+    end subroutine check_proportions
 
   end subroutine check_lengths
 
@@ -423,11 +437,10 @@ contains
     case (of_powers)
       why = 'whose fourth powers are finite'
     case (of_lengths)
-      why = 'so that '//to_text(finest) &
-        //' of the longest of urn_radius and the channels'' lengths is no longer than the shortest'
+      why = 'so that '//to_text(finest)//' of the longest length of the table is no longer than ' &
+        //'the shortest'
     case (of_widths)
-      why = 'which are '//to_text(finest) &
-        //' of the longest length of the table, and 2 urn_radius less that share of urn_radius'
+      why = 'which is 2 urn_radius less '//to_text(finest)//' of it'
     case (of_times)
       why = 'which are '//to_text(finest)//' of the longest length of the table, and ' &
         //to_text(longest_run)//' urn_radius'
