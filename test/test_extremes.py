@@ -352,7 +352,7 @@ REFUSED = [
     ],
     ("channel2_width", {"channel2_width": "1e-20"}),
     ("channel1_width", {"channel1_width": "1.99999999999999"}),
-    ("channel1_width", {"channel1_length": "1e6", "channel1_width": "1e-9"}),
+    ("channel1_length", {"channel1_length": "1e6", "channel1_width": "1e-9"}),
     ("channel1_length", {"channel1_length": "1e300"}),
     ("channel1_length", {"channel1_length": "1e-300"}),
     ("channel2_length", {"channel2_length": "1e-300"}),

@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     Floats = NDArray[np.float64]
 
 STEPS = 100  # of M
-LONGEST = 1e9  # lifetimes above this count as infinite, in relaxation times of directions
+LONGEST = 3e13  # steps of N2 in a lifetime, above which it counts as infinite: rounding
 
 
 @dataclass(frozen=True)
@@ -73,7 +73,7 @@ class Settling:
     def passage(self, start: int, stop: int) -> float:
         """Return the mean time from one |N2 - N/2|, with relaxed directions, to another.
 
-        Both are states of `chain.folded`; infinite above `LONGEST`.
+        Both are states of `chain.folded`; infinite above `LONGEST` steps.
         """
         offset = (self.number + 1) // 2
         if stop > start:
@@ -98,7 +98,7 @@ class Settling:
         times = linalg.spsolve(equations.tocsc(), np.ones(lag.size)).reshape(lag.shape)
         first = offset + start
         found = float(np.interp(first, settled, times[first - second[0]]))
-        return found if 0.0 < found < LONGEST * self.time else math.inf
+        return found if 0.0 < found < LONGEST / float((up + down).max()) else math.inf
 
 
 def passages(circuit: Circuit) -> Callable[[int, int], float]:
