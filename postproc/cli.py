@@ -213,11 +213,17 @@ def replaced(path: Path) -> Iterator[Path]:
             try:
                 half.replace(final)
             except OSError as problem:
-                # as in files.c: some file servers replace no file
+                # some file servers replace no file: what was there goes aside
                 if problem.errno not in (errno.EEXIST, errno.EPERM):
                     raise
-                final.unlink()
-                half.replace(final)
+                aside = half.with_name(f"{half.name}.old")
+                final.replace(aside)
+                try:
+                    half.replace(final)
+                except OSError:
+                    aside.replace(final)
+                    raise
+                aside.unlink()
         else:  # `final` is no place of a pipe
             yield path
     except OSError as problem:

@@ -47,8 +47,8 @@ _RANK_OF_A_JOB = re.compile(
     r"|FLUX_(JOB_\w+|TASK_\w+|KVS_NAMESPACE|PMI_LIBRARY_PATH)|JSM_\w+|ALPS_APP_\w+"
     r"|PALS_(AP\w+|RANKID|LOCAL_\w+|NODEID|FD|SPOOL_DIR)"
 )
-# Options of mpirun that it exports to its ranks: where these are placed, and how it prints.
-_OPTIONS = re.compile(
+# Options of Open MPI's mpirun that it exports to its ranks: where they are placed, how it prints.
+_OPTIONS_OF_MPIRUN = re.compile(
     r"OMPI_MCA_(rmaps_(?!base_oversubscribe)\w+"
     r"|orte_(rankfile|default_hostfile|(xml|output|display|debug)_\w+|(tag|timestamp)_output"
     r"|execute_quiet|leave_session_attached|max_restarts))"
@@ -81,10 +81,12 @@ def own_environment() -> dict[str, str]:
         home = str(Path.home())
     except RuntimeError:
         home = os.sep
-    job = {name for name in os.environ if _RANK_OF_A_JOB.fullmatch(name)}
-    if job:
-        job |= {name for name in os.environ if _OPTIONS.fullmatch(name)}
-    return {"HOME": home, **{name: one for name, one in os.environ.items() if name not in job}}
+    left_out = [_RANK_OF_A_JOB]
+    if "OMPI_COMM_WORLD_SIZE" in os.environ:  # else the user has set them
+        left_out.append(_OPTIONS_OF_MPIRUN)
+    own = {name: one for name, one in os.environ.items()
+           if not any(pattern.fullmatch(name) for pattern in left_out)}  # fmt: skip
+    return {"HOME": home, **own}
 
 
 def program_words(errors: str) -> str:

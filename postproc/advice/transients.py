@@ -29,11 +29,11 @@ if TYPE_CHECKING:
     Floats = NDArray[np.float64]
 
 RELAXATIONS = 3.0  # relaxation times of directions in a transient
-# in radii, as times at speed 1
+# Times in radii, at speed 1:
 SHORTEST = 1000.0  # transient
 CRITICAL = 9000.0  # transient next to a transition: a margin (experiment 5 found 500 enough)
 LONGEST = 1e6  # longest transient for a current; the part still missing then is returned
-AGES = np.geomspace(10.0, 1e12, 661)
+AGES = np.geomspace(10.0, 1e12, 661)  # 60 a decade; the transient of chi may be above `LONGEST`
 
 
 def circulation_rate(circuit: Circuit, dense: float, rounds: float) -> float:

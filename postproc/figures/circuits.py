@@ -373,7 +373,7 @@ def draw_characteristic(axes: Axes, points: xr.Dataset, models: Sequence[Model])
     current, error = (np.where(closed, 0.0, one) for one in means(points, "polarised_current"))
     voltage, deviation = voltage_of(*means(points, "chi"))
     if not np.isfinite(voltage).any():
-        raise InputError(f"{files_of(points)}: U is infinite at all points, chi = 1")
+        raise InputError(f"{files_of(points)}: no point has a finite U: chi is 1, or not a mean")
     shown = axes.errorbar(current, voltage, deviation, error, fmt="o", color=style.BLUE,
                           mfc="none", ms=3.8, lw=0.7, label="$U$, measured")  # fmt: skip
     right = axes.twinx()

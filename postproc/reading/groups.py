@@ -160,7 +160,7 @@ def _need_complete(points: xr.Dataset, point: int, replica: int) -> None:
 def series_of(points: xr.Dataset, point: int, replica: int | None = None) -> list[xr.Dataset]:
     """Return the series of a complete replica of a point, or of all (`each_series`).
 
-    Raises `InputError` if they are empty.
+    Raises `InputError` if they are empty, or the replica is not complete.
     """
     if replica is not None:
         _need_complete(points, point, replica)
@@ -172,7 +172,7 @@ def series_of(points: xr.Dataset, point: int, replica: int | None = None) -> lis
 
 
 def snapshots_of(points: xr.Dataset, point: int, replica: int) -> list[Snapshot]:
-    """Return all snapshots of a task that it has reached."""
+    """Return all snapshots of a task that it has reached; it must be complete."""
     _need_complete(points, point, replica)
     one = points.isel(point=point, replica=replica)
     found = _checked(one, "snapshots", ("time", "x", "y", "ux", "uy"))

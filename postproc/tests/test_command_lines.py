@@ -157,7 +157,7 @@ def test_unusual_results_have_an_answer(
         ("phase_diagram map.h5 --point 1", "a map needs two keys other than the start"),
         ("curves map.h5 --point 4", "point 4 is not one of 0 to 3"),
         ("curves closed.h5", "no point has a mean of 'polarised_current'"),
-        ("characteristic all.h5", "U is infinite at all points, chi = 1"),
+        ("characteristic all.h5", "no point has a finite U: chi is 1, or not a mean"),
         ("characteristic closed.h5", "no point has a mean of 'polarised_current'"),
     ],
 )  # fmt: skip
@@ -213,6 +213,23 @@ def test_a_file_is_written_again_where_a_rename_replaces_none(
         with cli.replaced(tmp_path / "a") as file:
             file.write_text(text)
         assert (tmp_path / "a").read_text() == text
+    calls = []
+
+    def fail(old: Path, new: Path) -> None:
+        calls.append(new)
+        if len(calls) == 1:
+            raise OSError(number, os.strerror(number))
+        if len(calls) == 3:  # what was there is aside
+            raise OSError(errno.EIO, "fails")
+        rename(old, new)
+
+    monkeypatch.setattr(os, "replace", fail)
+    with (
+        pytest.raises(cli.InputError, match="fails"),
+        cli.replaced(tmp_path / "a") as file,
+    ):
+        file.write_text("lost")
+    assert (tmp_path / "a").read_text() == "second"
     assert len(list(tmp_path.iterdir())) == 1
 
 

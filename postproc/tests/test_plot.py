@@ -190,6 +190,18 @@ def test_single_runs_that_where_chose_are_no_means(folder: Path) -> None:
     assert np.array_equal(found["chi"], data["chi"].values[1:].ravel())
 
 
+def test_points_without_a_finite_voltage_are_counted(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = results_of(
+        tmp_path / "full.h5", particles={"number": 60, "urn1_fraction": 1.0}, output=BARE,
+        gate={"threshold": 0}, run=SHORT,
+        scan={"threshold": None, "channel2_width": [1e-7, 0.1], "replicas": 1},
+    )  # fmt: skip
+    assert call("plot", ["characteristic", str(path), "--output", str(tmp_path)]) == 0
+    assert "U is infinite (chi = 1), not shown: 1 of 2 points" in capsys.readouterr().err
+
+
 def test_a_map_is_of_two_keys_and_has_the_lines_that_are_asked_for(
     folder: Path, tmp_path: Path
 ) -> None:

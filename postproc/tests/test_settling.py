@@ -43,6 +43,13 @@ def test_what_does_not_depend_on_directions_is_the_chain(number: int, time: floa
         assert found(start, stop) == pytest.approx(expected, rel=1e-3)
 
 
+def test_lifetimes_scale_with_the_unit_of_time(slow: Settling) -> None:
+    unit = 1e10
+    other = replace(slow, sent=slow.sent - math.log(unit), time=unit * slow.time)
+    stop = int(0.35 * slow.number)
+    assert other.passage(0, stop) == pytest.approx(unit * slow.passage(0, stop), rel=1e-6)
+
+
 def test_settled_directions_send_what_is_sent(slow: Settling) -> None:
     second, sent = direction.outflows(ONE)
     for at, (one, other) in enumerate(sent.T):

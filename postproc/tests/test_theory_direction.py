@@ -290,12 +290,14 @@ def test_a_state_with_nearly_all_particles_in_one_urn_is_found_beside_a_stable_h
     assert spreads[0] > 0.998
 
 
-@pytest.mark.parametrize(("width", "length"), [(0.3, 0.46579), (0.03, 4.6579)])
+@pytest.mark.parametrize(("width", "length", "modes"), [(0.3, 0.46579, 1), (0.03, 4.6579, 2)])
 def test_a_narrow_channel_1_does_not_hide_that_equal_urns_are_left(
-    width: float, length: float
+    width: float, length: float, modes: int
 ) -> None:
     """At one load of the gates; two runs at w = 0.03 left them for chi = 0.97 by t = 1e5."""
     circuit = Circuit(1000, 4, width, 0.0, channel1_length=length)
+    equations = direction.Directions(circuit)
+    assert direction._growing_modes(equations, equations.held(0.49)) == modes
     assert direction.homogeneous_kind(circuit) == "unstable"
     (state,) = direction.stationary_states(circuit)
     assert (state.kind, state.mass_spread) == ("stable", pytest.approx(0.969, abs=1e-3))
@@ -338,18 +340,27 @@ def test_lifetimes_command_takes_every_theory(capsys: pytest.CaptureFixture[str]
     assert replaced.alike
 
 
-@pytest.mark.parametrize(("thresholds", "width"), [((0, 7), 1e-4), ((7, 5), 1e-5)])
-def test_mirror_images_have_the_same_states(thresholds: tuple[int, int], width: float) -> None:
+@pytest.mark.parametrize(
+    ("number", "thresholds", "width", "length"),
+    [(1000, (0, 7), 1e-4, 1.0), (1000, (7, 5), 1e-5, 1.0), (100_000, (1, 2), 1e-6, 3.0)],
+)
+def test_mirror_images_have_the_same_states(
+    number: int, thresholds: tuple[int, int], width: float, length: float
+) -> None:
     """Down to the emptiest urn, whichever of the two it is."""
     both = [
-        Circuit(1000, one, channel2_width=width, gate2_threshold=two)
+        Circuit(number, one, 0.3, width, channel1_length=length, gate2_threshold=two)
         for one, two in (thresholds, thresholds[::-1])
     ]
     here, there = (direction.stationary_states(one) for one in both)
     assert [one.kind for one in here] == [one.kind for one in reversed(there)]
     assert here[0].kind == here[-1].kind == "stable"
-    mirrored = [1000.0 - one.urn2_number for one in reversed(there)]
-    assert [one.urn2_number for one in here] == pytest.approx(mirrored, abs=0.02)
+    mirrored = [number - one.urn2_number for one in reversed(there)]
+    found = [one.urn2_number for one in here]
+    assert found == pytest.approx(mirrored, abs=2e-5 * number)
+    assert (found[0], number - found[-1]) == pytest.approx(
+        (mirrored[0], number - mirrored[-1]), abs=0.02
+    )
 
 
 @pytest.mark.parametrize(

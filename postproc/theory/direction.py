@@ -223,6 +223,15 @@ class Directions:
         half = 0.5 * float(circuit.channel1_length)
         self.stays = half / np.sqrt((1.0 - self.sine) * (1.0 + self.sine))
 
+    def weighted(self, share: Floats) -> Floats:
+        """Return the matrix that takes a density to it times a share at each direction."""
+        return (self.basis * (self.weights * share)) @ self.basis.T
+
+    def passing(self, urn: int, density: Floats) -> Floats:
+        """Return q of a gate, given the number of entries per unit time at each direction."""
+        rate = max(float(density.sum()), 1e-300)
+        return fate.passing(int(self.sides[urn].threshold), rate, self.stays, density / rate)
+
     def allow(self, held: Held) -> bool:
         """Whether flows are found and, of equal circuits, the fuller urn 2 feeds channel 2."""
         return held.known and (not self.circuit.alike or held.net_current >= 0.0)
@@ -269,7 +278,7 @@ class Directions:
     def _flows(self, passing: Floats, parts: Floats) -> tuple[Floats, Floats]:
         """Return F and H for given q and `parts` in the urns: linear equations."""
         size = POLYNOMIALS
-        gate = [(self.basis * (self.weights * one)) @ self.basis.T for one in passing]
+        gate = [self.weighted(one) for one in passing]
         unit = np.eye(size)
         source = np.zeros((size, 4 * size))  # the difference of flows, by the cosine law
         source[0, :size], source[0, size : 2 * size] = gate[0][0], -gate[1][0]
@@ -304,12 +313,7 @@ class Directions:
         density = np.maximum(entries @ self.basis, 0.0) * self.weights
         rates = np.maximum(density.sum(axis=1), 1e-300)
         loads = density @ self.stays
-        passing = np.array(
-            [
-                fate.passing(int(one.threshold), rate, self.stays, law / rate)
-                for one, rate, law in zip(self.sides, rates, density, strict=True)
-            ]
-        )
+        passing = np.array([self.passing(urn, law) for urn, law in enumerate(density)])
         passing = taken * passing + (1.0 - taken) * before
         through = (passing * density).sum(axis=1)
         thresholds = np.array([float(one.threshold) for one in self.sides])
@@ -400,20 +404,21 @@ def _growing_modes(equations: Directions, held: Held) -> int:
     Equal urns have F and H of the cosine law. A difference phi of F, chi of H gives
 
         B = (1 - 2 q) phi - 2 F (dq/dF) phi,  out of an urn  K11 B - K21 chi  and  K12 B - K22 chi.
+
+    Each outflow is taken to relax to this in the mean stay of those who enter by its opening; the
+    time in gates and channels is neglected.
     """
     rate, urn, size = float(held.entries[:, 0].mean()), equations.urns[0], POLYNOMIALS
-    threshold, unit = int(equations.circuit.threshold), np.eye(size)
+    unit = np.eye(size)
 
     def passing(entries: Floats) -> Floats:
-        density = np.maximum(entries @ equations.basis, 0.0) * equations.weights
-        return fate.passing(threshold, density.sum(), equations.stays, density / density.sum())
+        return equations.passing(0, np.maximum(entries @ equations.basis, 0.0) * equations.weights)
 
     step = 1e-4 * rate
     change = [(passing(rate * unit[0] + step * one) - passing(rate * unit[0] - step * one))
               / (2.0 * step) for one in unit]  # fmt: skip
-    weighted = equations.basis * equations.weights
-    sent_back = unit - 2.0 * (weighted * passing(rate * unit[0])) @ equations.basis.T
-    sent_back -= 2.0 * rate * weighted @ np.array(change).T
+    sent_back = equations.weighted(1.0 - 2.0 * passing(rate * unit[0]))
+    sent_back -= 2.0 * rate * (equations.basis * equations.weights) @ np.array(change).T
     leaving = np.block(
         [[urn.kernel[0, out].T @ sent_back, -urn.kernel[1, out].T] for out in (0, 1)]
     )
@@ -450,7 +455,8 @@ def held_states(circuit: Circuit) -> tuple[tuple[Held, str], ...]:
             latest[0] = equations.held(share, latest[0])
             return _excess(latest[0])
 
-        optimize.brentq(excess, other, one, xtol=1e-5 * min(1.0, one / LEAST_SHARE))
+        emptier = min(one, 1.0 - other)
+        optimize.brentq(excess, other, one, xtol=1e-5 * min(1.0, emptier / LEAST_SHARE))
         found.append((latest[0], "stable" if before > 0.0 else "unstable"))
     last = scan(circuit)[-1][1]
     if circuit.alike and _excess(last) > 0.0:  # all that channel 2 does not bring is in one urn
@@ -468,7 +474,10 @@ def around(
 
 
 def stationary_states(circuit: Circuit) -> list[State]:
-    """Return all states of a circuit, for equal urns those with N2 > N/2 (chi above 0.02).
+    """Return the states of a circuit, for equal urns those with N2 > N/2 (chi above 0.02).
+
+    Left out is an unstable one next to unstable equal urns: there the second of the modes that grow
+    (`_growing_modes`) ceases to. `flows` and `outflows`, at given numbers, balance there too.
 
     Raises `InputError` if of unequal urns or gates the first or the last is not stable: it is not
     found.
@@ -477,7 +486,7 @@ def stationary_states(circuit: Circuit) -> list[State]:
     held_ones = held_states(circuit)
     kinds = [kind for _, kind in held_ones]
     if circuit.alike and kinds[:1] == ["unstable"] and homogeneous_kind(circuit) == "unstable":
-        held_ones = held_ones[1:]  # where a second mode of equal urns no longer grows
+        held_ones = held_ones[1:]
     if not circuit.alike and {"stable"} != {*kinds[:1], *kinds[-1:]}:
         raise InputError(f"theory direction: it does not find all states, {circuit.brief}")
     closed = float(circuit.channel2_width) == 0.0  # nothing flows there, what represents it leaks

@@ -24,7 +24,7 @@ from scipy.sparse import linalg
 
 from postproc.cli import InputError
 from postproc.progress import each
-from postproc.theory import direction, fate
+from postproc.theory import direction
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     Floats = NDArray[np.float64]
 
 STEPS = 100  # of M
-LONGEST = 3e13  # steps of N2 in a lifetime, above which it counts as infinite: rounding
+LONGEST = 3e13  # steps in a lifetime, above which it counts as infinite: 150 roundings of it
 
 
 @dataclass(frozen=True)
@@ -131,16 +131,13 @@ def _sent(equations: Directions, held: Held, settled: Held) -> float:
     """Return the logarithm of half 1's outflow: its rate from `held`, directions from `settled`."""
     more = held.entries[0, 0] / settled.entries[0, 0]
     law = np.maximum(more * settled.entries[0] @ equations.basis, 0.0) * equations.weights
-    rate = law.sum()
-    threshold = int(equations.sides[0].threshold)
-    through = fate.passing(threshold, rate, equations.stays, law / rate) @ law
+    through = equations.passing(0, law) @ law
     return math.log(through + max(held.across[0, 0], 0.0))
 
 
 def _time(equations: Directions, even: Held) -> float:
     """Return tau_r of a circuit held with equal halves."""
-    basis, share = equations.basis, 1.0 - 2.0 * even.passing.mean(axis=0)
-    gate = (basis * (equations.weights * share)) @ basis.T
+    gate = equations.weighted(1.0 - 2.0 * even.passing.mean(axis=0))
     visit = (equations.urns[0].kernel[0, 0].T @ gate)[1:, 1:]
     slowest = np.linalg.eigvals(visit).real.max()
     return float(even.in_half[0] / even.entries[0, 0] / (1.0 - slowest))

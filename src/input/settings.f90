@@ -39,8 +39,8 @@ module battery_settings
     type(findings_type) :: problems
     !> Whether text could not be read: what it sets is not known.
     logical :: has_skipped_text = .false.
-    !> Whether a problem may concern a length of the table, of a known or an unknown name.
-    logical :: has_wrong_table = .false.
+    !> Whether a problem may be of a length of the table, of a known or an unknown name.
+    logical :: may_lack_a_length = .false.
   end type settings_type
 
 contains
@@ -75,8 +75,8 @@ contains
       else
         call check_group(groups, entry, first_line, reader%is_in_unknown_group, settings%problems)
       end if
-      if (settings%problems%count > before .and. (reader%is_in_unknown_group .or. entry%group &
-        == 'table' .or. entry%group == 'scan')) settings%has_wrong_table = .true.
+      if (settings%problems%count > before .and. (reader%is_in_unknown_group .or. &
+        may_be_length(entry, keys))) settings%may_lack_a_length = .true.
     end do
     settings%has_skipped_text = reader%has_skipped_text
     ! A misspelt key, or one with an index, counts as given and refused, so it is not reported as
@@ -86,6 +86,17 @@ contains
       all%given = all%line > 0
     end associate
   end subroutine read_settings
+
+  !> Whether an entry may be meant for a length of the table.
+  pure logical function may_be_length(entry, keys) result(may)
+    type(entry_type), intent(in) :: entry
+    !> List of all keys.
+    type(key_type), intent(in) :: keys(:)
+
+    may = entry%group == 'table'
+    if (entry%group == 'scan' .and. allocated(entry%key)) may = .not. any(keys%group == 'scan' &
+      .and. keys%name == entry%key .and. keys%unit /= 'length')
+  end function may_be_length
 
   !> Sets the key that an entry names, or reports why it cannot be set. The key that it probably
   !> means gets its line then, unless it has one.

@@ -174,21 +174,25 @@ static int is_file_of(const char *path, const struct stat *file) {
   return lstat(path, &found) == 0 && found.st_dev == file->st_dev && found.st_ino == file->st_ino;
 }
 
+/* Renames a file; done, too, if only the answer of a file server was lost, so that the call fails. */
+static int renamed(const char *old, const char *new, const struct stat *mine) {
+  int status = rename(old, new) == 0 ? 0 : errno;
+  return is_file_of(new, mine) ? 0 : status;
+}
+
 /* Renames a file in place of another. Some file servers do not replace a file (old SMB: EEXIST; SFTP without
    an extension: EPERM): there it is removed before, and a stop between the two leaves the file under its old
-   name alone. A file server may rename it and the answer be lost, so that the call fails. */
+   name alone. */
 int battery_rename(const char *old, const char *new) {
   struct stat mine;
   if (lstat(old, &mine) != 0) return errno;
-  int status = rename(old, new) == 0 ? 0 : errno;
-  if (is_file_of(new, &mine)) return 0;
-  if (status == EEXIST || status == EPERM)
-    status = unlink(new) == 0 && rename(old, new) == 0 ? 0 : errno;
+  int status = renamed(old, new, &mine);
+  if (status == EEXIST || status == EPERM) status = unlink(new) == 0 ? renamed(old, new, &mine) : errno;
   return status;
 }
 
 /* Renames a file to a name that no file has, or only the file with the given identity; -1: another
-   file has it. As `battery_rename`, the answer of a server may be lost. */
+   file has it. */
 int battery_put_in_place(const char *old, const char *new, const int64_t seen[5]) {
   const int64_t nothing[5] = {0};
   int64_t now[5] = {0};
@@ -218,8 +222,7 @@ int battery_put_in_place(const char *old, const char *new, const int64_t seen[5]
   if (status == EEXIST) return -1;
   /* Some file systems do not support this. */
 #endif
-  status = rename(old, new) == 0 ? 0 : errno;
-  if (is_file_of(new, &mine)) return 0;
+  status = renamed(old, new, &mine);
   return status == EEXIST ? -1 : status;
 }
 

@@ -76,7 +76,7 @@ static int write_owner(int descriptor, const char *text) {
 
 /* Removes the file of an ended run of this machine; `taken` if there is no file now. If the file
    belongs, or may belong, to another run, `holder` (`capacity` bytes) is its text. Where it cannot be
-   removed, it is taken over in its place, and stays open, as `kept`. */
+   removed, it is taken over in its place, and stays open, as `kept`; for a moment it is empty. */
 static int remove_of_ended(const char *path, const char *text, char *holder, int capacity, int *kept) {
   int descriptor = open(path, O_RDWR | O_NOFOLLOW | O_CLOEXEC | O_NONBLOCK), outcome = taken, got;
   struct stat found;

@@ -19,7 +19,8 @@ module battery_initial_state
   !> Characters that separate the numbers of a line, besides commas.
   character(len=*), parameter :: blanks = ' '//achar(9)
 
-  !> Faults of a line.
+  !> Faults of a line: not four columns, a comma without a number, no number, no speed, outside the
+  !> table, along an arc.
   integer, parameter :: of_columns = 1, of_commas = 2, of_numbers = 3, of_speed = 4, of_place = 5, &
     of_arc = 6
   !> Number of further lines with the same fault whose numbers are given.
@@ -144,7 +145,7 @@ contains
         foreign = foreign_byte_text(text(line_start:min(last, len(text, int64))))
         if (foreign /= '') problem = foreign
         ! The first line may be the names of columns; all others may have the same fault.
-        if (count == 1) head = merge(1, 0, &
+        if (count == 1) head = merge(1, 0, scan(text(first:first), '+-.0123456789') == 0 .and. &
           scan(lower_case(text(first:last - 1)), 'abcfghijklmnopqrstuvwxyz') > 0)
         if (foreign /= '' .or. count == head) then
           call add_finding(findings, finding_of(line, problem))
@@ -227,9 +228,7 @@ contains
     logical :: lost
 
     state = 0.0_wp
-    fault = of_columns
-    call find_columns(line, first, last, problem)
-    if (index(problem, 'has a comma') == 1) fault = of_commas
+    call find_columns(line, first, last, fault, problem)
     if (problem /= '') return
     fault = of_numbers
     do k = 1, 4
@@ -265,9 +264,11 @@ contains
   !> Finds the four columns of a line, which are separated by blanks or by one comma with or without
   !> blanks: the positions in the line at which they start (`first`) and end (`last`); `problem` is
   !> empty if there are four.
-  pure subroutine find_columns(line, first, last, problem)
+  pure subroutine find_columns(line, first, last, fault, problem)
     character(len=*), intent(in) :: line
     integer, intent(out) :: first(4), last(4)
+    !> Which fault a problem is.
+    integer, intent(out) :: fault
     character(len=:), allocatable, intent(out) :: problem
     integer :: at, length, columns
     logical :: after_comma
@@ -298,6 +299,7 @@ contains
       end if
     end do
     if (after_comma .and. problem == '') problem = 'has a comma without a number behind it'
+    fault = merge(of_columns, of_commas, problem == '')
     if (problem == '' .and. columns /= 4) problem = 'has '//to_text(columns) &
       //trim(merge(' column ', ' columns', columns == 1))//'; allowed: 4, x y ux uy, ' &
       //'between blanks or commas, with decimal points'

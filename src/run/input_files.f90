@@ -45,7 +45,7 @@ contains
     call check_files(plan)
     call set_input_error(plan, error)
     ! Without its lengths there is no table to check the file with.
-    if (.not. (plan%settings%has_skipped_text .or. plan%settings%has_wrong_table) &
+    if (.not. (plan%settings%has_skipped_text .or. plan%settings%may_lack_a_length) &
       .and. are_lengths_known(plan)) call use_initial_file(plan, error)
   end subroutine read_namelist
 

@@ -379,8 +379,9 @@ contains
     subroutine check_proportions()
       character(len=15) :: keys(6)
       real(wp) :: lengths(6)
-      logical :: is_there(6)
-      integer :: shortest, longest, refused, other
+      logical :: is_there(6), others(6)
+      integer :: shortest, longest, refused
+      real(wp) :: most
 
       keys(:2) = size_key
       keys(3:4) = length_keys
@@ -391,12 +392,15 @@ contains
       is_there(5:) = is_open(point%channel)
       longest = maxloc(lengths, 1, is_there)
       shortest = minloc(lengths, 1, is_there)
+      if (lengths(shortest) >= finest*lengths(longest)) return
       refused = longest
       if (is_given(plan%settings, trim(keys(shortest))) .and. &
         .not. is_given(plan%settings, trim(keys(longest)))) refused = shortest
-      other = shortest + longest - refused
-      call check_range(plan, trim(keys(refused)), lengths(refused), finest*lengths(other), &
-        lengths(other)/finest, of_lengths)
+      others = is_there .and. abs(lengths - lengths(refused)) > 0.0_wp
+      most = minval(lengths, others)/finest
+      if (refused > 4) most = min(most, (2.0_wp - finest)*radii(1))
+      call check_range(plan, trim(keys(refused)), lengths(refused), &
+        finest*maxval(lengths, others), most, of_lengths)
     end subroutine check_proportions
 
   end subroutine check_lengths
