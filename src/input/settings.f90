@@ -407,7 +407,7 @@ contains
     end associate
   end function has_control_sign
 
-  !> Problem of a range whose number of values is not an integer; empty: none.
+  !> Problem of a range whose third number is not how many values it has; empty: none.
   pure function wrong_range(range) result(wrong)
     real(wp), intent(in) :: range(3)
     character(len=:), allocatable :: wrong
@@ -416,6 +416,8 @@ contains
     if (range(3) < 1.0_wp .or. range(3) > longest_range .or. &
       abs(range(3) - anint(range(3))) > 0.0_wp) &
       wrong = 'how many is not a whole number from 1 to '//to_text(longest_range)
+    if (wrong == '' .and. range(3) < 2.0_wp .and. abs(range(2) - range(1)) > 0.0_wp) &
+      wrong = 'one value cannot have two ends (the third number is how many, not a step)'
   end function wrong_range
 
   !> Place of a key, which must be declared, in the settings: in its own group, also if a scan can
