@@ -10,6 +10,7 @@ import os
 import sys
 import threading
 import warnings
+import zlib
 from collections import deque
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -27,11 +28,13 @@ EXIT_CLOSED_PIPE = 141
 EXIT_INTERRUPTED = 130
 COMMAND = "battery-postproc"  # all commands as one, where the package is installed
 MARK = "written by battery-postproc"  # in each file that is written, by which it is known again
-# What is before the mark, by the first bytes of pictures and pages; of MP4 its second four.
+# What is before the mark, by the kind of a file, with its first bytes; of MP4 its second four.
 BEFORE_MARK = {
-    b"\x89PNG": b"Software\0", b"%PDF": b"/Creator (", b"<!": b'name="generator" content="',
-    b"GIF8": b"!\xfe%c" % len(MARK), b"ftyp": b"data\0\0\0\1\0\0\0\0",
+    "png": (b"\x89PNG", b"Software\0"), "pdf": (b"%PDF", b"/Creator ("),
+    "html": (b"<!", b'name="generator" content="'),
+    "gif": (b"GIF8", b"!\xfe%c" % len(MARK)), "mp4": (b"ftyp", b"data\0\0\0\1\0\0\0\0"),
 }  # fmt: skip
+OTHER_DASHES = ("\u2013", "\u2014", "\u2212")  # of word processors, in place of -
 MOST_READ = 2**20  # bytes at each end of a file, where the mark is
 
 
@@ -76,6 +79,8 @@ class Parser(argparse.ArgumentParser):
             if word == "--":  # the rest are files; argparse would lose it
                 words += [f"./{one}" if one.startswith("-") else one for one in rest]
                 break
+            if word.startswith(OTHER_DASHES) and not Path(word).exists():
+                self.error(f"{word}: begins with another dash, U+{ord(word[0]):04X}, than -")
             name, given, value = word.partition("=")
             action = self._option_string_actions.get(name)
             if not isinstance(action, argparse._ExtendAction):
@@ -121,8 +126,9 @@ def parser(name: str, description: str | None) -> Parser:
 def add_output(options: argparse.ArgumentParser) -> None:
     """Add `--output DIR`, by default the current folder."""
     options.add_argument(
-        "--output", metavar="DIR", type=Path, default=Path(), help="folder to write to (default: .)"
-    )
+        "--output", metavar="DIR", type=lambda word: path_of(word, "--output"), default=Path(),
+        help="folder to write to (default: .)",
+    )  # fmt: skip
 
 
 def add_verify(options: argparse.ArgumentParser) -> None:
@@ -165,34 +171,44 @@ def existing_file(path: Path) -> Path:
     return path
 
 
-def file_to_write(path: Path) -> Path:
-    """Return `path`, at which a file is to be written.
+def file_to_write(path: Path, kind: str) -> Path:
+    """Return `path`, at which a file of a kind is to be written: one of `BEFORE_MARK`, or "nml".
 
-    A file that is there must be empty or have the `MARK` of those that this package writes.
+    A file that is there must be empty, or of this kind with the `MARK` of those that this package
+    writes, and not protected; a namelist also unchanged since then.
     """
+    told = "and is not replaced; name another file, or remove it"
     try:
         if path.is_dir():
             raise InputError(f"{path}: is a folder, not a file")
-        if path.is_file() and path.stat().st_size > 0 and not _has_mark(path):
-            told = "is not replaced; name another file, or remove it"
-            raise InputError(f"{path}: is not {MARK}, and {told}")
+        if path.is_file() and not os.access(path, os.W_OK):
+            raise InputError(f"{path}: is write-protected, {told}")
+        if path.is_file() and path.stat().st_size > 0 and not _has_mark(path, kind):
+            since = ", or was changed since" if kind == "nml" else ""
+            raise InputError(f"{path}: is no {kind} file {MARK}{since}, {told}")
     except OSError as problem:
         raise InputError(f"cannot write {path}: {problem.strerror}") from problem
     return path
 
 
-def _has_mark(path: Path) -> bool:
-    """Return whether a file has the mark where this package writes it in files of its kind."""
+def marked_namelist(text: str) -> str:
+    """Return the text of a namelist with a first line that tells who wrote it, and its checksum."""
+    return f"! {MARK}, checksum {zlib.crc32(text.encode()):08x}\n{text}"
+
+
+def _has_mark(path: Path, kind: str) -> bool:
+    """Return whether a file has the mark where this package writes it in files of this kind."""
+    if kind == "nml":
+        text = path.read_bytes().decode(errors="replace")
+        first, _, rest = text.partition("\n")
+        return first == f"! {MARK}" or text == marked_namelist(rest)  # without a checksum: older
     with path.open("rb") as file:
         content = file.read(MOST_READ)
         file.seek(-min(path.stat().st_size, MOST_READ), os.SEEK_END)
         content += file.read()
-    if content.startswith(b"! "):  # a namelist, of which this is the first line
-        return content.startswith(f"! {MARK}\n".encode())
-    for first, before in BEFORE_MARK.items():
-        if content.startswith(first) or content[4:8] == first:
-            return before + MARK.encode() in content
-    return False
+    first_bytes, before = BEFORE_MARK[kind]
+    is_kind = content.startswith(first_bytes) or content[4:8] == first_bytes
+    return is_kind and before + MARK.encode() in content
 
 
 @contextmanager

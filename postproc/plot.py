@@ -122,8 +122,10 @@ def relaxation(
     """Draw a variable against time: mean over replicas, and a band of their standard deviation.
 
     Long series are averaged over short times, and replicas of several lengths are shown up to the
-    end of the shortest. chi begins at the start; the current is the mean over
-    intervals of the series, drawn at their middles.
+    end of the shortest. chi begins at the start; the current is the mean over intervals of the
+    series, drawn at their middles, and counts from the urn that is fuller at their ends. Where the
+    fuller urn changes within intervals it is too small, which a warning says: a shorter
+    `series_interval` is better.
 
     Parameters
     ----------

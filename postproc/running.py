@@ -23,11 +23,11 @@ import f90nml
 
 from postproc.cli import (
     EXIT_BAD_INPUT,
-    MARK,
     InputError,
     ended_with_python,
     existing_file,
     file_to_write,
+    marked_namelist,
     output_folder,
     path_of,
     plain_value,
@@ -117,7 +117,7 @@ def write_namelist(
     """
     if not isinstance(groups, Mapping):
         raise InputError(f"groups = {groups!r}: must be values by group and key")
-    place = None if file is None else file_to_write(path_of(file, "file"))
+    place = None if file is None else file_to_write(path_of(file, "file"), "nml")
     checked: dict[str, dict[str, object]] = {}
     problems: list[str] = []
     known = _keys(find_program(program))
@@ -138,7 +138,7 @@ def write_namelist(
     text = f"{namelist}\n"
     if place is not None:
         with replaced(place) as half:
-            half.write_text(f"! {MARK}\n{text}", encoding="utf-8")
+            half.write_text(marked_namelist(text), encoding="utf-8")
     return text
 
 

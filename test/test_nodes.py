@@ -58,7 +58,7 @@ def test_an_mpi_that_cannot_do_it_is_named(machines: Nodes, tmp_path: Path) -> N
     ended = start(machines, folder, OMPI_MCA_osc="sm")
     assert ended.returncode == 1, (ended.returncode, ended.stdout, ended.stderr)
     assert ended.stderr.count("battery: Open MPI v") == 1
-    assert "has no one-sided operations between the nodes" in ended.stderr
+    assert "refuses one-sided operations between these ranks" in ended.stderr
     assert not (folder / "out.h5.owner").exists()
 
 

@@ -205,6 +205,9 @@ def test_a_file_that_was_opened_for_writing_is_read_with_one_warning(tmp_path: P
     """So is one to which something was added, and one that is open, also in this Python."""
     path = results_of(tmp_path, {"threshold": "3, 7"}, output={"final_state": ".true."})
     before = postproc.open_results(path)
+    for locking in (False, True):
+        with h5py.File(path, "r", locking=locking):
+            assert postproc.open_results(path).identical(before)
     with h5py.File(path, "a") as file:
         assert postproc.open_results(path).identical(before)
         file.attrs["remark"] = "of its reader"

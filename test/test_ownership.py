@@ -24,6 +24,19 @@ LIMIT = 0.05
 OWNER_ELSEWHERE = "elsewhere 4711 2026-11-21 12:00:00.000"
 
 
+INTERRUPTED_LOCK = """
+#define _GNU_SOURCE
+#include <dlfcn.h>
+#include <errno.h>
+#include <fcntl.h>
+int fcntl(int file, int command, void *more) {
+  static int calls;
+  if (command == F_OFD_SETLK && calls++ == 0) return errno = EINTR, -1;
+  return ((int (*)(int, int, void *))dlsym(RTLD_NEXT, "fcntl"))(file, command, more);
+}
+"""
+
+
 def write(folder: Path, name: str = "case.nml", collisions: int = SHORT, **keys: Any) -> None:
     """Write a case with two tasks, or with more."""
     (folder / name).write_text(
@@ -177,6 +190,26 @@ def test_killed_while_it_writes_the_lock_file(tmp_path: Path, after_another: boo
     ended = program.run("--overwrite", "case.nml", folder=folder)
     assert ended.returncode == 0, ended.stderr
     assert names(folder) == ["case.nml", "out.h5"]
+
+
+def test_a_lock_that_is_interrupted_is_had(tmp_path: Path) -> None:
+    """Another run that gets locks is told of it."""
+    source, library = tmp_path / "interrupted.c", tmp_path / "interrupted.so"
+    source.write_text(INTERRUPTED_LOCK)
+    subprocess.run(["gcc", "-shared", "-fPIC", "-o", library, source, "-ldl"], check=True)
+    folder = tmp_path / "case"
+    folder.mkdir()
+    write(folder, collisions=LONG)
+    interrupted = {"LD_PRELOAD": str(library)}
+    process = program.start("--quiet", "case.nml", folder=folder, environment=interrupted)
+    assert program.wait_for((folder / "out.h5.tasks/plan").exists, process)
+    second = program.run("case.nml", folder=folder)
+    at_work = process.poll() is None
+    program.kill_all(process)
+    program.finish(process)
+    assert at_work
+    assert second.returncode == 2, second.stdout
+    assert f"process {process.pid}, since 20" in second.stderr
 
 
 def test_without_locks_nothing_is_taken_over(tmp_path: Path) -> None:

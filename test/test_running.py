@@ -50,7 +50,9 @@ def test_a_run_of_values_is_the_run_of_its_namelist(
     there = postproc.run(CASE, folder=tmp_path / "values", quiet=True)
     assert there == tmp_path / "values/it's.h5"
     text = postproc.write_namelist(tmp_path / "in.nml", CASE)
-    assert (tmp_path / "in.nml").read_text("utf-8") == f"! written by battery-postproc\n{text}"
+    first, _, rest = (tmp_path / "in.nml").read_text("utf-8").partition("\n")
+    assert first.startswith("! written by battery-postproc, checksum ")
+    assert rest == text
     (tmp_path / "in.nml").write_text(text, encoding="utf-8")
     assert "snapshot_times" not in text
     assert run_program("in.nml", folder=tmp_path).returncode == 0
@@ -169,10 +171,14 @@ def test_a_namelist_replaces_one_that_was_written_but_no_other_file(tmp_path: Pa
     mine.write_text("! why I chose this\n&particles number = 3 /\n", encoding="utf-8")
     for path in (postproc.run(CASE, folder=tmp_path, quiet=True), mine):
         before = path.read_bytes()
-        with pytest.raises(ValueError, match="is not written by battery-postproc, and is not rep"):
+        with pytest.raises(ValueError, match="since, and is not replaced"):
             postproc.write_namelist(path, CASE)
         assert path.read_bytes() == before
     for _ in range(2):
+        postproc.write_namelist(tmp_path / "case.nml", CASE)
+    with (tmp_path / "case.nml").open("a", encoding="utf-8") as file:
+        file.write("! and what I changed\n")
+    with pytest.raises(ValueError, match="or was changed since, and is not replaced"):
         postproc.write_namelist(tmp_path / "case.nml", CASE)
 
 

@@ -226,7 +226,8 @@ def read(file: Path, quantity: str) -> Outcome:
     data = open_results(file)
     chi, seconds = np.atleast_2d(data["chi"]), float(data["cpu_seconds"].sum())
     away = chi - np.median(chi)
-    few = np.std(away) > OUTLYING * np.median(abs(away))
+    one = 2.0 / float(data["number"].max())  # what a particle that changes the urn adds to chi
+    few = np.std(away) > max(OUTLYING * np.median(abs(away)), one)
     if quantity != "transition" and (few or by_point(data)["two_states"].any()):
         raise InputError(
             f"the runs of {quantity} have no mean: some leave the state in which they begin, "

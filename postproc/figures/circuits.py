@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import warnings
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -165,11 +166,22 @@ def polarised_current_of(series: xr.Dataset, number: float, start: float) -> tup
     """Return the middles of intervals, and the current of channel 2 from the urn fuller then.
 
     At the end those that crossed are missing from the urn that they left, which is less often the
-    fuller one.
+    fuller one. It is too small where the fuller urn changes within intervals (`changing_share`).
     """
-    first = series["urn1_number"].values
-    fuller = np.sign(np.concatenate([[start], first[:-1]]) + first - number)
+    fuller = np.sign(_ends_of(series, start).sum(axis=0) - number)
     return series["middle"].values, fuller * (series["flow2_12"] - series["flow2_21"]).values
+
+
+def changing_share(series: xr.Dataset, number: float, start: float) -> float:
+    """Return the share of intervals of a series at whose two ends not the same urn is fuller."""
+    fuller = np.sign(2.0 * _ends_of(series, start) - number)
+    return float(np.mean(fuller[0] * fuller[1] < 0.0))
+
+
+def _ends_of(series: xr.Dataset, start: float) -> Floats:
+    """Return N1 at both ends of all intervals of a series."""
+    later = series["urn1_number"].values
+    return np.array([np.concatenate([[start], later[:-1]]), later])
 
 
 # What is drawn against time: its label, how it is found, steps along the axis, theory's field, and
@@ -179,6 +191,12 @@ QUANTITIES = {
     "polarised_current": ("polarised current\n(per unit time)", polarised_current_of, STEPS // 8,
                           "net_current", (-np.inf, np.inf)),
 }  # fmt: skip
+# Share of intervals (`changing_share`) above which the current against time lacks several per cent.
+CHANGING = 0.2
+TOO_LONG = (
+    "the polarised current against time is too small: the fuller urn changes within {:.0%} of the "
+    "intervals of the series; take a shorter series_interval (the mean of the run is right)"
+)
 MARGIN = 0.03  # of the axis of chi, for lines at its ends
 
 
@@ -193,15 +211,12 @@ def draw_relaxation(
     if quantity not in known:
         told = ", ".join(known) or "none of the single urn"
         raise InputError(f"against time there is no {quantity!r}; there are {told}")
-    label, quantity_of, steps, field, possible = QUANTITIES[quantity]
-    lines, latest, theories = [], 0.0, set()
+    label, _, _, field, possible = QUANTITIES[quantity]
+    lines, latest, theories, changing = [], 0.0, set(), 0.0
     circuits, starts = points["circuit"].values, starts_of(points)
     for at, (circuit, colour) in enumerate(zip(circuits, TIME_COLOURS, strict=False)):
-        found, number = [], float(circuit.number)
-        for series in series_of(points, at):
-            time, values = quantity_of(series, number, number - starts[at])
-            early = time <= max(end, time[0])  # one entry at least
-            found.append(binned(time[early], values[early], steps)[:2])
+        found, share = _binned_series(points, at, quantity, float(circuit.number) - starts[at], end)
+        changing = max(changing, share)
         # Replicas of merged files may have other lengths and intervals.
         last = min(middle[-1] for middle, _ in found)
         latest = max(latest, last)
@@ -222,6 +237,8 @@ def draw_relaxation(
             if (state := model.reached(circuit, starts[at])) is not None:
                 axes.axhline(getattr(state, field), color=colour, ls=model.dashes, lw=0.9)
                 theories.add(model.name)
+    if quantity == "polarised_current" and changing > CHANGING:
+        warnings.warn(f"{files_of(points)}: {TOO_LONG.format(changing)}", stacklevel=3)
     for model in (one for one in models if one.name in theories):
         axes.plot([], [], ls=model.dashes, lw=0.9, **_theory_entry(model, lines))
     axes.set(xlabel="time $t$  (length / $v$)", ylabel=label)
@@ -229,9 +246,23 @@ def draw_relaxation(
         axes.set_ylim(-MARGIN, 1.0 + MARGIN)
     else:
         axes.axhline(0.0, color=style.GREY, lw=0.5)
-    axes.set_xlim(0.0, end if np.isfinite(end) else latest)
+    axes.set_xlim(0.0, end if np.isfinite(end) else max(latest, axes.dataLim.x1))
     axes.xaxis.set_major_locator(MaxNLocator(5))
     return lines
+
+
+def _binned_series(
+    points: xr.Dataset, at: int, quantity: str, start: float, end: float
+) -> tuple[list[tuple[Floats, Floats]], float]:
+    """Return times and values of each replica up to `end`, and the mean `changing_share`."""
+    _, quantity_of, steps, *_ = QUANTITIES[quantity]
+    found, shares, number = [], [], float(points["circuit"].values[at].number)
+    for series in series_of(points, at):
+        time, values = quantity_of(series, number, start)
+        early = time <= max(end, time[0])  # one entry at least
+        found.append(binned(time[early], values[early], steps)[:2])
+        shares.append(changing_share(series, number, start))
+    return found, float(np.mean(shares))
 
 
 def across_of(points: xr.Dataset) -> tuple[str, str]:

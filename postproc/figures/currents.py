@@ -200,7 +200,8 @@ def _draw(
         flows_of = f"{model.label}: flows, coloured as their marks"
         axes.plot([], [], color=style.GREY, label=flows_of, **look)
         axes.plot([], [], color=style.BLACK, label=f"{model.label}: {NETS}", **look)
-    axes.set(xlim=(0.0, end), ylabel="flow (per unit time)", xlabel="time $t$  (length / $v$)")
+    axes.set(ylabel="flow (per unit time)", xlabel="time $t$  (length / $v$)")
+    axes.set_xlim(0.0, max(end, axes.dataLim.x1))  # there may be another run
     return drawn
 
 

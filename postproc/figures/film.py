@@ -267,7 +267,7 @@ def film(
     path = cli.path_of(file, "file")
     if path.suffix not in (".mp4", ".gif"):
         raise cli.InputError(f"{path}: a film is an .mp4 or a .gif")
-    cli.file_to_write(path)
+    cli.file_to_write(path, path.suffix[1:])
     cli.output_folder(path.parent)
     write(scenes, seconds, path)
     return path

@@ -250,7 +250,7 @@ def figure_phase_diagram(points: xr.Dataset, models: Sequence[Model] = ()) -> Fi
         if rows[-1][1]["chi"].isna().all(axis=None):
             raise cli.InputError("figure numris: the two starts have no point in common")
     made = style.figure(style.PAGE, 0.5 + 2.35 * len(rows))
-    panels = made.subplots(len(rows), 2, squeeze=False, sharex=True, sharey=True)
+    panels, limits = made.subplots(len(rows), 2, squeeze=False, sharex=True, sharey=True), []
     for row, (name, drawn) in enumerate(rows):
         for axes, (quantity, shown) in zip(panels[row], drawn.items(), strict=True):
             label, look = LOOKS[quantity]
@@ -258,10 +258,14 @@ def figure_phase_diagram(points: xr.Dataset, models: Sequence[Model] = ()) -> Fi
                 most = max(1e-9, shown.abs().max(axis=None))
                 look = {"vmin": -most, "vmax": most, "cmap": "PuOr"}
             mesh = draw_map(axes, points, keys, shown, {"vmin": low, "vmax": high, **look})
-            draw_lines(axes, lines, marks)
+            limits.append([axes.get_xlim(), axes.get_ylim()])
             made.colorbar(mesh, ax=axes, pad=0.02)
             axes.set_title(f"{label}\n{name}")
             axes.label_outer()
+    low_ends, high_ends = np.min(limits, axis=0)[:, 0], np.max(limits, axis=0)[:, 1]
+    for axes in panels.flat:
+        axes.set(xlim=(low_ends[0], high_ends[0]), ylim=(low_ends[1], high_ends[1]))
+        draw_lines(axes, lines, marks)
     handles, labels = panels[0, 0].get_legend_handles_labels()
     style.legend_above(made, handles, labels, 3, fontsize=7.5)
     return made

@@ -168,11 +168,14 @@ def figure_lifetimes(points: xr.Dataset, models: Sequence[Model] = ()) -> Figure
     several = len({key[2] for key in panels}) > 1
     made = style.figure(max(2.6 * len(panels), 4.6), 3.7)
     axes = made.subplots(1, len(panels), squeeze=False, sharey=True)[0]
+    lowest = DRAWN[0]
     for one, (key, group) in zip(axes, sorted(panels.items()), strict=True):
         draw_lifetimes(one, group, models)
+        lowest = min(lowest, one.get_ylim()[0])
         width = f", {equals(WIDTH, key[2])}" if several else ""
         one.set_title(f"$T = {key[0]:g}$, $l = {key[1]:g}${width}")
         one.label_outer()
+    axes[0].set_ylim(bottom=lowest)
     style.legend_above(made, *axes[0].get_legend_handles_labels(), 3)
     return made
 

@@ -155,7 +155,7 @@ def note(axes: Axes, text: str) -> None:
 def save(made: Figure, folder: Path, name: str) -> list[Path]:
     """Write `name`.png and `name`.pdf into `folder`, print and return their paths."""
     output_folder(folder)
-    paths = [file_to_write(folder / f"{name}.{kind}") for kind in ABOUT]
+    paths = [file_to_write(folder / f"{name}.{kind}", kind) for kind in ABOUT]
     for path, about in zip(paths, ABOUT.values(), strict=True):
         drawn = io.BytesIO()
         made.savefig(drawn, format=path.suffix[1:], dpi=RESOLUTION, metadata=about)

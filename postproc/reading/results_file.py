@@ -195,18 +195,17 @@ class ResultsFile:
 def _hdf5(path: Path) -> h5py.File:
     """Return an open file; without HDF5's lock, which some network disks refuse.
 
-    Where this Python has the file open with a lock, HDF5 opens it again only with one.
+    Where this Python has the file open with a lock, HDF5 opens it again only with one of its kind.
     """
-    try:
-        return h5py.File(path, "r", locking=False)
-    except OSError:
+    for locking in (False, None, True):  # None: HDF5's default
         try:
-            return h5py.File(path, "r")
-        except OSError as problem:
-            reason = " ".join(str(problem).split())
-            if problem.errno == errno.EAGAIN:
-                reason = "is open in another program, which may change it; close it there"
-            raise InputError(f"{path}: {reason}") from problem
+            return h5py.File(path, "r", locking=locking)
+        except OSError as one:
+            problem = one
+    reason = " ".join(str(problem).split())
+    if problem.errno == errno.EAGAIN:
+        reason = "is open in another program, which may change it; close it there"
+    raise InputError(f"{path}: {reason}") from problem
 
 
 def _bytes(dataset: h5py.Dataset, tasks: NDArray[np.int_] | None) -> int:

@@ -56,7 +56,7 @@ def report(
     points = by_point(dataset_of(results, verify=verify))
     name = (of_files(points, "files") or ["results"])[0].rpartition("/")[2].removesuffix(".h5")
     path = cli.path_of(f"{name}.html" if file is None else file, "file")
-    cli.file_to_write(path)
+    cli.file_to_write(path, "html")
     models = defaults(points["circuit"].values) if theory is None else asked(points, theory)
     page = cli.extra("report", "postproc.reporting.page").page
     text = page(points, {one.name: one for one in models})

@@ -197,7 +197,9 @@ def with_error(value: float, error: float, unknown: str = "") -> str:
         return "-"
     if not math.isfinite(error):
         return f"{value:.4g}{unknown}"
-    places = max(-math.floor(math.log10(error)), 0) if error > 0.0 else 4
+    if error <= 0.0:
+        return f"{value:.4g} ± 0"
+    places = max(-math.floor(math.log10(error)), 0)
     return f"{round(value, places) + 0.0:.{places}f} ± {error:.{places}f}"  # no -0.0
 
 

@@ -16,6 +16,7 @@ import xarray as xr
 from scipy import stats
 
 from postproc.cli import InputError
+from postproc.figures.circuits import CHANGING, TOO_LONG, changing_share
 from postproc.reading.groups import each_series, snapshot_of
 from postproc.reading.points import current_name, means
 from postproc.theory import ports
@@ -93,14 +94,11 @@ def memory_factor(circuit: Circuit) -> float:
 
 def warnings(points: xr.Dataset) -> list[str]:
     """Return the warnings of a run, one sentence each, as plain text."""
-    found, excess, moving = _unfinished(points), _excess(points), _moving(points)
+    found, excess, series = _unfinished(points), _excess(points), _of_series(points)
     for at in np.flatnonzero(points["complete"].any("replica")):
         circuit = points["circuit"].values[at]
         told = _of_replicas(points.isel(point=at))
-        told += _of_current(circuit, *excess[:, at])
-        if at in moving:
-            told.append("chi still moves while averages are taken, in replica "
-                        f"{', '.join(moving[at])}: short transient.")  # fmt: skip
+        told += _of_current(circuit, *excess[:, at]) + series.get(at, [])
         name = f"T = {circuit.thresholds}, w' = {circuit.channel2_width:.4g}, N = {circuit.number}"
         found += [f"{name}: {text}" for text in told]
     return found
@@ -196,18 +194,27 @@ def _of_current(circuit: Circuit, excess: float, error: float) -> list[str]:
     ]
 
 
-def _moving(points: xr.Dataset) -> dict[int, list[str]]:
-    """Return the replicas of each point in whose series chi still moves."""
-    found: dict[int, list[str]] = {}
+def _of_series(points: xr.Dataset) -> dict[int, list[str]]:
+    """Return warnings on the series of each point: chi still moves, intervals are too long."""
+    moving: dict[int, list[str]] = {}
+    changing: dict[int, list[float]] = {}
     transient = points.get("transient_time", xr.zeros_like(points["complete"], float))
+    number, start = points["number"].values, points["urn1_number"].values
     if points.attrs.get("shape") != "urn":
         with suppress(InputError):  # none was requested
             for at, one in each_series(points):
                 replica = int(one["replica"])
                 late = one["time"] > transient[at, replica]
                 if drifts(one["chi"].values[late]):
-                    found.setdefault(at, []).append(str(replica))
-    return found
+                    moving.setdefault(at, []).append(str(replica))
+                share = changing_share(one, number[at], start[at])
+                changing.setdefault(at, []).append(share)
+    told = {at: [f"chi still moves while averages are taken, in replica {', '.join(replicas)}: "
+                 "short transient."] for at, replicas in moving.items()}  # fmt: skip
+    for at, shares in changing.items():
+        if (share := float(np.mean(shares))) > CHANGING:
+            told.setdefault(at, []).append(f"{TOO_LONG.format(share)}.")
+    return told
 
 
 def _axial_of(points: xr.Dataset) -> list[int]:

@@ -378,6 +378,7 @@ def test_a_current_is_that_of_the_state_with_this_chi_and_has_its_sign() -> None
 @pytest.mark.parametrize(
     ("chi", "has_mean"),
     [([0.86, 0.87, 0.86, 0.85, 0.87, 0.86, 0.85, 0.88], True),
+     ([1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 0.9], True),  # a sole particle has gone
      ([0.86, 0.87, 0.86, 0.85, 0.87, 0.86, 0.85, 0.28], False),
      ([0.86, 0.87, 0.05, 0.06, 0.87, 0.06, 0.05, 0.86], False)],
 )  # fmt: skip

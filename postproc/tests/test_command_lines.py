@@ -12,7 +12,7 @@ from typing import TextIO
 
 import pytest
 
-from postproc import cli
+from postproc import cli, report
 from postproc.__main__ import COMMANDS
 from postproc.commands.plot import FIGURES
 from postproc.figures.theories import add_models
@@ -84,6 +84,22 @@ def test_no_file_of_someone_else_is_replaced(
     assert Path(written).read_bytes() == there
     Path(written).unlink()
     assert [call(words[0], [*words[1:], "run.h5"]) for _ in range(2)] == [0, 0]
+
+
+def test_a_protected_file_and_one_of_another_kind_are_not_replaced(
+    files: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    report(files / "whole.h5", "mine.html")
+    page = Path("mine.html").read_bytes()
+    for kind in ("png", "nml"):
+        with pytest.raises(cli.InputError, match=f"is no {kind} file written by battery-postproc"):
+            cli.file_to_write(Path("mine.html"), kind)
+    # The superuser may write to any file.
+    monkeypatch.setattr(cli.os, "access", lambda path, _: not str(path).endswith("mine.html"))
+    with pytest.raises(cli.InputError, match="is write-protected, and is not replaced"):
+        report(files / "whole.h5", "mine.html")
+    assert Path("mine.html").read_bytes() == page
 
 
 SHORT = {"run": {"duration": 30.0, "transient_duration": 0.0}}
@@ -355,6 +371,11 @@ def test_a_file_by_a_circle_of_links_is_one_line(
     assert capsys.readouterr().err.count("\n") == 1
 
 
+def test_a_dash_of_a_word_processor_is_named(capsys: pytest.CaptureFixture[str]) -> None:
+    assert call("theory", ["\u2013number", "100", "--threshold", "2"]) == 2
+    assert "\u2013number: begins with another dash, U+2013, than -" in capsys.readouterr().err
+
+
 def test_who_is_interrupted_says_nothing(capsys: pytest.CaptureFixture[str]) -> None:
     def main(_: list[str] | None) -> int:
         raise KeyboardInterrupt
@@ -378,7 +399,7 @@ def test_what_cannot_be_a_file_is_one_line(tmp_path: Path) -> None:
     for name in ("file/one.nml", "n" * 300):
         with (
             pytest.raises(cli.InputError, match="cannot write"),
-            cli.replaced(cli.file_to_write(tmp_path / name)) as half,
+            cli.replaced(cli.file_to_write(tmp_path / name, "nml")) as half,
         ):
             half.write_text("no")
 

@@ -11,9 +11,20 @@ import pytest
 from matplotlib.figure import Figure
 from matplotlib.path import Path as Polyline
 
-from postproc.figures import appendix, circuits, currents, lengths, maps, scene, style, theories
+from postproc.figures import (
+    appendix,
+    circuits,
+    currents,
+    lengths,
+    maps,
+    passages,
+    scene,
+    style,
+    theories,
+)
 from postproc.reading.groups import Snapshot, series_of
 from postproc.reading.points import means
+from postproc.reporting import warn
 from postproc.tests.commands import call
 from postproc.tests.runs import BARE, edited, leave_out, points_of, results_of
 from postproc.theory.circuit import Circuit, single_urn_current
@@ -210,6 +221,42 @@ def test_against_time_the_polarised_current_is_that_of_the_file(tmp_path: Path) 
     found = [line.get_ydata().mean() for line in lines]
     assert found == pytest.approx(means(files, "polarised_current")[0], abs=0.03)
     assert found[0] > 0.5
+
+
+def test_a_series_too_coarse_for_the_polarity_is_told(tmp_path: Path) -> None:
+    """The same runs with intervals in which the fuller urn changes."""
+    path = results_of(
+        tmp_path / "coarse.h5", scan={"threshold": [7, 18], "replicas": 4},
+        output={"series_interval": 200.0},
+    )  # fmt: skip
+    files = points_of(path)
+    with pytest.warns(UserWarning, match="coarse.h5: the polarised current against time is too sm"):
+        circuits.draw_relaxation(Figure().add_subplot(), files, (), "polarised_current")
+    circuits.draw_relaxation(Figure().add_subplot(), files, (), "chi")
+    (told,) = [one for one in warn.warnings(files) if "against time is too small" in one]
+    assert told.startswith("T = 18, ")
+
+
+def test_panels_with_one_axis_show_all_points(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of lifetimes and of maps, whatever the last panel shows."""
+    files = points_of(folder / "homogeneous.h5", folder / "polarised.h5")
+    (name, first), (other, second) = maps.by_start(files)
+    few = second.isel(point=second["threshold"].values < second["threshold"].values.max())
+    three = [(name, first), (other, second), ("few", few)]
+    monkeypatch.setattr(maps, "by_start", lambda _: three)
+    panels = maps.figure_phase_diagram(files, theories.named(["window"])).axes[:6]
+    for one in panels:
+        assert one.get_xlim() == pytest.approx((-0.0005, 0.0210))
+    circuit = Circuit(100, 1)
+    lives = [
+        passages.Lifetime(replace(circuit, channel1_length=length), True, 8, 8, time, time, time)
+        for length, time in ((0.1, 5.0), (1.0, 5e3))
+    ]
+    monkeypatch.setattr(passages, "measured", lambda _: lives)
+    made = passages.figure_lifetimes(files, theories.named(["window"]))
+    assert made.axes[0].get_ylim()[0] < 5.0
 
 
 def test_a_band_of_chi_stays_where_chi_can_be_and_a_line_at_its_end_is_seen(folder: Path) -> None:

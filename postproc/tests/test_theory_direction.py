@@ -290,6 +290,19 @@ def test_a_state_with_nearly_all_particles_in_one_urn_is_found_beside_a_stable_h
     assert spreads[0] > 0.998
 
 
+def test_states_between_two_points_of_the_scan_are_found() -> None:
+    """Next to where they begin to exist, at w' = 0.0300."""
+    circuit = Circuit(1000, 5, channel2_width=0.03)
+    found = [(one.kind, round(one.mass_spread, 2)) for one in direction.stationary_states(circuit)]
+    assert found == [("unstable", 0.67), ("stable", 0.70)]
+
+
+def test_the_current_is_proportional_to_a_very_narrow_channel_2() -> None:
+    narrow = [Circuit(1000, 7, channel2_width=width) for width in (1e-12, 1e-6)]
+    small, large = (direction.stationary_states(one)[-1].net_current for one in narrow)
+    assert large / small == pytest.approx(1e6, rel=1e-3)
+
+
 @pytest.mark.parametrize(("width", "length", "modes"), [(0.3, 0.46579, 1), (0.03, 4.6579, 2)])
 def test_a_narrow_channel_1_does_not_hide_that_equal_urns_are_left(
     width: float, length: float, modes: int

@@ -49,7 +49,7 @@ from postproc.theory.states import State
 from postproc.theory.visits import NARROW, visits
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
 
     from numpy.typing import ArrayLike, NDArray
 
@@ -61,6 +61,7 @@ NARROWEST = 1e-9  # width of channel 2, in radii, that represents a closed one
 ROUNDS = 56  # at most, of the iteration of gates and flows, over the weight of new q
 AGREED = 1e-5 / 0.7  # change of q, and of flows relative to the largest, at which it ends
 TAKEN = (0.7, 0.3, 0.1)  # weights of new q, a smaller one if a larger one overshoots
+TURN_STEPS, NEAR = 5, 0.3  # parabolas; height above zero, over that of the lowest point
 LEAST_SHARE = 1e-3  # of the particles in urns, in the emptier one, down to which all is computed
 LAST_EVEN = 0.1  # of them, down to which points are even
 EVENLY, FALLING = 10, 10  # points down to that, and from there to `LEAST_SHARE`
@@ -433,6 +434,38 @@ def homogeneous_kind(circuit: Circuit) -> str:
     return "stable" if growth(circuit) <= 0.0 else "unstable"
 
 
+def _with_turns(
+    equations: Directions, points: Sequence[tuple[float, Held]]
+) -> list[tuple[float, Held]]:
+    """Return points of a scan, and places between them where the excess has another sign.
+
+    Between two states that are closer than the points, next to where both begin to exist. They are
+    sought where the excess turns and a parabola through three points comes near zero.
+    """
+    more = []
+    for trio in zip(points, points[1:], points[2:], strict=False):
+        places, values = [one[0] for one in trio], [_excess(one[1]) for one in trio]
+        sign, latest = np.sign(values[1]), trio[1][1]
+        heights = [sign * one for one in values]
+        if not 0.0 < heights[1] < min(heights[0], heights[2]):
+            continue
+        for _ in range(TURN_STEPS):
+            shape = np.polyfit(places, heights, 2)
+            lowest = -0.5 * shape[1] / shape[0]
+            if not places[2] < lowest < places[0] or np.polyval(shape, lowest) > NEAR * heights[1]:
+                break
+            latest = equations.held(lowest, latest)
+            height, at = sign * _excess(latest), 1 if lowest > places[1] else 2
+            if height < 0.0:
+                more.append((lowest, latest))
+                break
+            places.insert(at, lowest)
+            heights.insert(at, height)
+            kept = slice(0, 3) if np.argmin(heights) == 1 else slice(1, 4)
+            places, heights = places[kept], heights[kept]
+    return sorted([*points, *more], key=lambda one: -one[0])
+
+
 @lru_cache(maxsize=8)
 def held_states(circuit: Circuit) -> tuple[tuple[Held, str], ...]:
     """Return the circuit held in each of its states, and the kind of the state.
@@ -440,7 +473,7 @@ def held_states(circuit: Circuit) -> tuple[tuple[Held, str], ...]:
     As `scan`, it is asked for states and kinds.
     """
     equations, found = Directions(circuit), []
-    for (one, here), (other, there) in pairwise(scan(circuit)):
+    for (one, here), (other, there) in pairwise(_with_turns(equations, scan(circuit))):
         before, after = _excess(here), _excess(there)
         if np.sign(before) * np.sign(after) >= 0.0:
             continue
@@ -489,11 +522,12 @@ def stationary_states(circuit: Circuit) -> list[State]:
         held_ones = held_ones[1:]
     if not circuit.alike and {"stable"} != {*kinds[:1], *kinds[-1:]}:
         raise InputError(f"theory direction: it does not find all states, {circuit.brief}")
-    closed = float(circuit.channel2_width) == 0.0  # nothing flows there, what represents it leaks
+    # of what flows in a channel 2 that represents a narrower one
+    part = min(1.0, float(circuit.channel2_width) / (NARROWEST * float(circuit.urn_radius)))
     for held, kind in held_ones:
         second = float(held.in_half[1])
         chi = abs(2.0 * second - number) / number
-        state = State(second, kind, chi, 0.0 if closed else held.net_current)
+        state = State(second, kind, chi, part * held.net_current)
         found.append(with_circulation(state, *around(circuit, held, [circuit.age, math.inf])))
     return found
 

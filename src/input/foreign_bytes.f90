@@ -6,7 +6,8 @@ module battery_foreign_bytes
   use battery_text, only: to_text, new_line_character
   implicit none (type, external)
   private
-  public :: text_start, namelist_problem, foreign_byte_text, unseen_bytes_text, is_results_file
+  public :: text_start, namelist_problem, foreign_byte_text, unseen_bytes_text, is_other_dash, &
+    is_results_file
 
   character(len=1), parameter :: tab = achar(9), return_sign = achar(13)
 
@@ -132,6 +133,14 @@ contains
       return
     end do
   end function unseen_bytes_text
+
+  !> Whether a text begins with a sign that looks like the dash of an option.
+  pure logical function is_other_dash(text) result(yes)
+    character(len=*), intent(in) :: text
+
+    yes = len(text) >= 3
+    if (yes) yes = any(sequence(7:9) == hexadecimal(text(:3)))
+  end function is_other_dash
 
   !> Bytes as numbers in hexadecimal, with blanks between.
   pure function hexadecimal(bytes) result(text)

@@ -324,6 +324,8 @@ contains
         call read_decimal(value%text, setting%reals(at), wrong)
         if (value%quoted) wrong = 'is not a number'
         written = to_text(setting%reals(at))
+        if (wrong == '' .and. at > 1 .and. has_leading_zero(value%text)) wrong = 'number ' &
+          //to_text(at)//', '//value%text//', begins with 0, as behind a decimal comma'
         if (wrong == '') wrong = out_of_bounds(key, setting%reals(at))
       case (logical_key)
         call read_logical(value, setting%flag, wrong)
@@ -336,6 +338,14 @@ contains
       end select
     end associate
   end subroutine set_value_at
+
+  !> Whether a number begins with 0 and another digit.
+  pure logical function has_leading_zero(number) result(yes)
+    character(len=*), intent(in) :: number
+
+    yes = scan(number, '0') == 1 .and. scan(number(min(2, len(number)):), '0123456789') == 1 &
+      .and. len(number) > 1
+  end function has_leading_zero
 
   !> Problem of a number outside the bounds of its key; empty: none.
   pure function out_of_bounds(key, number) result(wrong)

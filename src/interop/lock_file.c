@@ -25,10 +25,14 @@ static int names(const char *path, int descriptor) {
   return named.st_dev == opened.st_dev && named.st_ino == opened.st_ino;
 }
 
+/* Tried more than once, since a signal may interrupt it, and a file server may have no lock at first. */
 static int lock(int descriptor) {
   struct flock whole = {.l_type = F_WRLCK, .l_whence = SEEK_SET};
-  if (fcntl(descriptor, F_OFD_SETLK, &whole) == 0) return locked;
-  return errno == EAGAIN || errno == EACCES ? locked_by_another : no_locks;
+  for (int tries = 0; tries < 3; tries++) {
+    if (fcntl(descriptor, F_OFD_SETLK, &whole) == 0) return locked;
+    if (errno == EAGAIN || errno == EACCES) return locked_by_another;
+  }
+  return no_locks;
 }
 
 /* Reads the text of a file, and returns its length; 0 if there is none. `text` has `capacity` bytes, and

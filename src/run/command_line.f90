@@ -3,6 +3,7 @@ module battery_command_line
   use battery_error, only: error_type, fatal_error, exit_bad_input
   use battery_findings, only: findings_type, finding_type, finding_of, add_finding, findings_text, &
     suggestion
+  use battery_foreign_bytes, only: foreign_byte_text, unseen_bytes_text, is_other_dash
   use battery_text, only: string_type, closest_word, is_one_of, join, new_line_character
   use battery_key, only: keys_text, distinct_names
   use battery_keys, only: all_keys
@@ -89,10 +90,16 @@ contains
         only_files = .true.
       else if (words(at)%text == '--json' .and. .not. only_files) then
         json_next = .true.
+      else if (is_other_dash(words(at)%text) .and. .not. only_files) then
+        call add_finding(problems, finding_of(0, words(at)%text//': ' &
+          //foreign_byte_text(words(at)%text), 'options begin with -'))
       else if (index(words(at)%text, '-') == 1 .and. .not. only_files) then
         call read_option(words(at)%text, command, problems)
       else if (words(at)%text == '') then
         call add_finding(problems, finding_of(0, 'an empty file name', 'FILE.nml'))
+      else if (unseen_bytes_text(words(at)%text) /= '') then
+        call add_finding(problems, finding_of(0, words(at)%text//': ' &
+          //unseen_bytes_text(words(at)%text)))
       else if (command%file /= '') then
         call add_finding(problems, finding_of(0, words(at)%text//': a second file', 'one'))
       else
@@ -129,6 +136,8 @@ contains
       command%has(option) = .true.
       if (option == help) command%text_to_print = usage_text()
       if (option == schema) command%text_to_print = schema_text(all_keys())
+    else if (foreign_byte_text(word) /= '') then
+      call add_finding(problems, finding_of(0, word//': '//foreign_byte_text(word)))
     else
       call add_finding(problems, finding_of(0, word//': there is no such option'//suggestion('', &
         closest_word(word, distinct_names(options))), join(distinct_names(options), ', ')))
