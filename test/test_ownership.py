@@ -29,10 +29,15 @@ INTERRUPTED_LOCK = """
 #include <dlfcn.h>
 #include <errno.h>
 #include <fcntl.h>
-int fcntl(int file, int command, void *more) {
+#include <stdarg.h>
+int fcntl(int file, int command, ...) {
   static int calls;
+  va_list more;
+  va_start(more, command);
+  void *value = va_arg(more, void *);
+  va_end(more);
   if (command == F_OFD_SETLK && calls++ == 0) return errno = EINTR, -1;
-  return ((int (*)(int, int, void *))dlsym(RTLD_NEXT, "fcntl"))(file, command, more);
+  return ((int (*)(int, int, void *))dlsym(RTLD_NEXT, "fcntl"))(file, command, value);
 }
 """
 

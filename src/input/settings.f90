@@ -58,6 +58,7 @@ contains
     type(string_type), allocatable :: groups(:)
     integer, allocatable :: first_line(:)
     integer :: at, before
+    logical :: is_repeated
 
     groups = distinct_names(keys%group)
     allocate (first_line(size(groups)), source=0)
@@ -71,9 +72,10 @@ contains
       call read_next(reader, entry, settings%problems)
       if (.not. allocated(entry%group)) exit
       if (allocated(entry%key)) then
-        call use_entry(entry, settings)
+        call use_entry(entry, is_repeated, settings)
       else
         call check_group(groups, entry, first_line, reader%is_in_unknown_group, settings%problems)
+        is_repeated = settings%problems%count > before .and. .not. reader%is_in_unknown_group
       end if
       if (settings%problems%count > before .and. (reader%is_in_unknown_group .or. &
         may_be_length(entry, keys))) settings%may_lack_a_length = .true.
@@ -100,8 +102,10 @@ contains
 
   !> Sets the key that an entry names, or reports why it cannot be set. The key that it probably
   !> means gets its line then, unless it has one.
-  subroutine use_entry(entry, settings)
+  subroutine use_entry(entry, is_repeated, settings)
     type(entry_type), intent(in) :: entry
+    !> Whether its group is given again, which is reported for all its keys.
+    logical, intent(in) :: is_repeated
     type(settings_type), intent(inout) :: settings
     integer :: place
 
@@ -110,8 +114,8 @@ contains
       place = meant_key(settings%all%key, entry)
       if (.not. entry%refused) call refuse_key(settings%all%key, entry, place, settings%problems)
     else if (settings%all(place)%given) then
-      if (.not. entry%refused) call refuse_entry(entry, 'is given again', 'once (line ' &
-        //to_text(settings%all(place)%line)//')', settings%problems)
+      if (.not. (entry%refused .or. is_repeated)) call refuse_entry(entry, 'is given again', &
+        'once (line '//to_text(settings%all(place)%line)//')', settings%problems)
     else if (.not. entry%refused) then
       call set_from_entry(entry, settings%all(place), settings%problems)
     end if
