@@ -155,7 +155,7 @@ class ResultsFile:
             if links is None or not links.exists(word.encode()):
                 return None
             if links.get_info(word.encode()).type != h5py.h5l.TYPE_HARD:
-                raise InputError(f"{self.path}: {name} is a link to elsewhere, which is not followed")
+                raise InputError(f"{self.path}: {name} is a link, which is not followed")
             found = found[word]
         if isinstance(found, h5py.Dataset) and (found.is_virtual or found.external):
             raise InputError(f"{self.path}: {name} does not lie in the file itself")
