@@ -126,13 +126,16 @@ def test_missing_tasks_are_not_numbers_and_it_is_said(tmp_path: Path) -> None:
     assert np.isfinite(final["x"]).all("particle").values.tolist()[1] == [False, True]
 
 
-def test_a_table_has_a_row_for_each_point_with_the_means_of_the_dataset(tmp_path: Path) -> None:
+def test_a_table_has_a_row_for_each_point_with_the_means_of_the_dataset(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     """In the order of the grid; the error is the scatter of two replicas, or one's own."""
     path = results_of(tmp_path, {"threshold": "7, 3", "channel2_width": "0.1, 0.02"})
     with edited(path) as file:
         file["task_status"][2, 0] = 1
         file["chi_error"][2, 1] = 0.25
     data, table = postproc.open_results(path), postproc.table(path, theory="window")
+    assert capsys.readouterr().err == f"{path}: partial run: 7 of 8 tasks\n"
     assert table["threshold"].tolist() == [7, 7, 3, 3]
     assert table["replicas"].tolist() == [2, 2, 1, 2]
     chi = data["chi"].values.reshape(4, 2)

@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 
 from postproc.reading.grid import dataset_of, with_theory
-from postproc.reading.points import PARAMETERS, by_point, keys_of, means
+from postproc.reading.points import PARAMETERS, by_point, keys_of, means, remark, say
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -49,6 +49,7 @@ def table(
     data = dataset_of(results)
     data = with_theory(data, [theory] if isinstance(theory, str) else theory)
     points = by_point(data)
+    say(points, remark(points))
     names = [*PARAMETERS, *keys_of(points)]
     columns = {name: points[name].values for name in names if name in points}
     for name in (one for one in MEANS if one in data):
