@@ -34,7 +34,7 @@ BEFORE_MARK = {
     "html": (b"<!", b'name="generator" content="'),
     "gif": (b"GIF8", b"!\xfe%c" % len(MARK)), "mp4": (b"ftyp", b"data\0\0\0\1\0\0\0\0"),
 }  # fmt: skip
-OTHER_DASHES = ("\u2013", "\u2014", "\u2212")  # of word processors, in place of -
+OTHER_DASHES = tuple("\u2010\u2011\u2013\u2014\u2212")  # of word processors, in place of -
 MOST_READ = 2**20  # bytes at each end of a file, where the mark is
 
 
@@ -79,7 +79,7 @@ class Parser(argparse.ArgumentParser):
             if word == "--":  # the rest are files; argparse would lose it
                 words += [f"./{one}" if one.startswith("-") else one for one in rest]
                 break
-            if word.startswith(OTHER_DASHES) and not Path(word).exists():
+            if word.startswith(OTHER_DASHES):
                 self.error(f"{word}: begins with another dash, U+{ord(word[0]):04X}, than -")
             name, given, value = word.partition("=")
             action = self._option_string_actions.get(name)
@@ -126,9 +126,16 @@ def parser(name: str, description: str | None) -> Parser:
 def add_output(options: argparse.ArgumentParser) -> None:
     """Add `--output DIR`, by default the current folder."""
     options.add_argument(
-        "--output", metavar="DIR", type=lambda word: path_of(word, "--output"), default=Path(),
+        "--output", metavar="DIR", type=_folder, default=Path(),
         help="folder to write to (default: .)",
     )  # fmt: skip
+
+
+def _folder(word: str) -> Path:
+    try:
+        return path_of(word, "folder")
+    except InputError as problem:
+        raise argparse.ArgumentTypeError(str(problem)) from problem
 
 
 def add_verify(options: argparse.ArgumentParser) -> None:
@@ -198,12 +205,15 @@ def marked_namelist(text: str) -> str:
 
 def _has_mark(path: Path, kind: str) -> bool:
     """Return whether a file has the mark where this package writes it in files of this kind."""
-    if kind == "nml":
-        text = path.read_bytes().decode(errors="replace")
-        first, _, rest = text.partition("\n")
-        return first == f"! {MARK}" or text == marked_namelist(rest)  # without a checksum: older
     with path.open("rb") as file:
         content = file.read(MOST_READ)
+        if kind == "nml":
+            first, found, rest = content.decode(errors="replace").partition("\n")
+            if not (found and first.startswith(f"! {MARK}")):
+                return False
+            rest += file.read().decode(errors="replace")
+            # of a version before 0.4.0 without a checksum
+            return first == f"! {MARK}" or first + found + rest == marked_namelist(rest)
         file.seek(-min(path.stat().st_size, MOST_READ), os.SEEK_END)
         content += file.read()
     first_bytes, before = BEFORE_MARK[kind]

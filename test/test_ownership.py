@@ -30,13 +30,17 @@ INTERRUPTED_LOCK = """
 #include <errno.h>
 #include <fcntl.h>
 #include <stdarg.h>
+#include <unistd.h>
 int fcntl(int file, int command, ...) {
   static int calls;
   va_list more;
   va_start(more, command);
   void *value = va_arg(more, void *);
   va_end(more);
-  if (command == F_OFD_SETLK && calls++ == 0) return errno = EINTR, -1;
+  if (command == F_OFD_SETLK && calls++ == 0) {
+    close(open("interrupted", O_CREAT | O_WRONLY, 0600));
+    return errno = EINTR, -1;
+  }
   return ((int (*)(int, int, void *))dlsym(RTLD_NEXT, "fcntl"))(file, command, value);
 }
 """
@@ -213,6 +217,7 @@ def test_a_lock_that_is_interrupted_is_had(tmp_path: Path) -> None:
     program.kill_all(process)
     program.finish(process)
     assert at_work
+    assert (folder / "interrupted").exists()
     assert second.returncode == 2, second.stdout
     assert f"process {process.pid}, since 20" in second.stderr
 

@@ -64,6 +64,7 @@ LARGE = 0.75  # chi below which the circuit may be close to a transition
 MEASURED = 2.0  # transients that a replica measures
 FEWEST = 4  # replicas of advised runs
 OUTLYING = 7.0  # standard over median deviation, beyond which some are far from most; 1.5 if normal
+LEAST_DEVIATION = 0.1  # of runs of few particles that leave a state
 START_SHARE = 0.05  # share of urn 1 at the start
 SCAN = 8.0  # number of states that a theory computes for its transition, about
 PATIENCE = 5.0  # s, limit for a finer theory, which shows whether errors cancel
@@ -226,8 +227,9 @@ def read(file: Path, quantity: str) -> Outcome:
     data = open_results(file)
     chi, seconds = np.atleast_2d(data["chi"]), float(data["cpu_seconds"].sum())
     away = chi - np.median(chi)
-    one = 2.0 / float(data["number"].max())  # what a particle that changes the urn adds to chi
-    few = np.std(away) > max(OUTLYING * np.median(abs(away)), one)
+    # Not if one particle has changed the urn.
+    least = min(2.0 / float(data["number"].max()), LEAST_DEVIATION)
+    few = np.std(away) > max(OUTLYING * np.median(abs(away)), least)
     if quantity != "transition" and (few or by_point(data)["two_states"].any()):
         raise InputError(
             f"the runs of {quantity} have no mean: some leave the state in which they begin, "

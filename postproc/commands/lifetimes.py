@@ -6,8 +6,8 @@ state are stable (T = 2 in the paper), a state is left by fluctuations; its life
 time from the state to the unstable one between them; a state that is not stable has 0. Of two
 polarised states it is the outer one. Figure lifetimes and the page on theory count from chi = 0
 until 0.7 and from chi = 1 until 0.2: so counted those of direction are within a factor of 2.3 of
-runs for T = 1 and 2 at w = 0.3 and w' = 0.01, and up to 3.5 too short at T = 1 and w = 1.2. At
-larger T they are too long, 14 and 22 times at T = 5, N = 1000, w' = 0.0281: the chain takes
+runs for T = 1 and 2 at w = 0.3 and w' = 0.01, and up to 3.5 times too short at T = 1 and w = 1.2.
+At larger T they are too long, 14 and 22 times at T = 5, N = 1000, w' = 0.0281: the chain takes
 crossings as independent, but there particles get through a gate in bursts.
 """
 

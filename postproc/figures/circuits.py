@@ -166,16 +166,16 @@ def polarised_current_of(series: xr.Dataset, number: float, start: float) -> tup
     """Return the middles of intervals, and the current of channel 2 from the urn fuller then.
 
     At the end those that crossed are missing from the urn that they left, which is less often the
-    fuller one. It is too small where the fuller urn changes within intervals (`changing_share`).
+    fuller one. It is too small where the fuller urn changes within intervals (`changes_within`).
     """
     fuller = np.sign(_ends_of(series, start).sum(axis=0) - number)
     return series["middle"].values, fuller * (series["flow2_12"] - series["flow2_21"]).values
 
 
-def changing_share(series: xr.Dataset, number: float, start: float) -> float:
-    """Return the share of intervals of a series at whose two ends not the same urn is fuller."""
+def changes_within(series: xr.Dataset, number: float, start: float) -> NDArray[np.bool_]:
+    """Tell of each interval of a series whether the fuller urn is the other one at its end."""
     fuller = np.sign(2.0 * _ends_of(series, start) - number)
-    return float(np.mean(fuller[0] * fuller[1] < 0.0))
+    return fuller[0] * fuller[1] < 0.0
 
 
 def _ends_of(series: xr.Dataset, start: float) -> Floats:
@@ -191,11 +191,11 @@ QUANTITIES = {
     "polarised_current": ("polarised current\n(per unit time)", polarised_current_of, STEPS // 8,
                           "net_current", (-np.inf, np.inf)),
 }  # fmt: skip
-# Share of intervals (`changing_share`) above which the current against time lacks several per cent.
+# Share of intervals (`changes_within`) above which the current against time lacks several per cent.
 CHANGING = 0.2
 TOO_LONG = (
-    "the polarised current against time is too small: the fuller urn changes within {:.0%} of the "
-    "intervals of the series; take a shorter series_interval (the mean of the run is right)"
+    "the polarised current against time is too small: the fuller urn changes in up to {:.0%} of "
+    "the intervals of the series; take a shorter series_interval (the mean of the run is right)"
 )
 MARGIN = 0.03  # of the axis of chi, for lines at its ends
 
@@ -254,14 +254,15 @@ def draw_relaxation(
 def _binned_series(
     points: xr.Dataset, at: int, quantity: str, start: float, end: float
 ) -> tuple[list[tuple[Floats, Floats]], float]:
-    """Return times and values of each replica up to `end`, and the mean `changing_share`."""
+    """Return times and values of each replica up to `end`, and the share of `changes_within`."""
     _, quantity_of, steps, *_ = QUANTITIES[quantity]
     found, shares, number = [], [], float(points["circuit"].values[at].number)
     for series in series_of(points, at):
         time, values = quantity_of(series, number, start)
         early = time <= max(end, time[0])  # one entry at least
         found.append(binned(time[early], values[early], steps)[:2])
-        shares.append(changing_share(series, number, start))
+        drawn = series["middle"].values <= max(end, series["middle"].values[0])
+        shares.append(changes_within(series, number, start)[drawn].mean())
     return found, float(np.mean(shares))
 
 

@@ -197,11 +197,13 @@ def _hdf5(path: Path) -> h5py.File:
 
     Where this Python has the file open with a lock, HDF5 opens it again only with one of its kind.
     """
+    problems = []
     for locking in (False, None, True):  # None: HDF5's default
         try:
             return h5py.File(path, "r", locking=locking)
         except OSError as one:
-            problem = one
+            problems.append(one)
+    problem = problems[1]
     reason = " ".join(str(problem).split())
     if problem.errno == errno.EAGAIN:
         reason = "is open in another program, which may change it; close it there"

@@ -198,7 +198,7 @@ def with_error(value: float, error: float, unknown: str = "") -> str:
     if not math.isfinite(error):
         return f"{value:.4g}{unknown}"
     if error <= 0.0:
-        return f"{value:.4g} ± 0"
+        return f"{value + 0.0:.10g} ± 0"  # no -0
     places = max(-math.floor(math.log10(error)), 0)
     return f"{round(value, places) + 0.0:.{places}f} ± {error:.{places}f}"  # no -0.0
 

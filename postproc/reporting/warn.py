@@ -16,7 +16,7 @@ import xarray as xr
 from scipy import stats
 
 from postproc.cli import InputError
-from postproc.figures.circuits import CHANGING, TOO_LONG, changing_share
+from postproc.figures.circuits import CHANGING, TOO_LONG, changes_within
 from postproc.reading.groups import each_series, snapshot_of
 from postproc.reading.points import current_name, means
 from postproc.theory import ports
@@ -94,13 +94,19 @@ def memory_factor(circuit: Circuit) -> float:
 
 def warnings(points: xr.Dataset) -> list[str]:
     """Return the warnings of a run, one sentence each, as plain text."""
-    found, excess, series = _unfinished(points), _excess(points), _of_series(points)
+    found, excess, (moving, changing) = _unfinished(points), _excess(points), _of_series(points)
     for at in np.flatnonzero(points["complete"].any("replica")):
         circuit = points["circuit"].values[at]
         told = _of_replicas(points.isel(point=at))
-        told += _of_current(circuit, *excess[:, at]) + series.get(at, [])
+        told += _of_current(circuit, *excess[:, at])
+        if at in moving:
+            told.append("chi still moves while averages are taken, in replica "
+                        f"{', '.join(moving[at])}: short transient.")  # fmt: skip
         name = f"T = {circuit.thresholds}, w' = {circuit.channel2_width:.4g}, N = {circuit.number}"
         found += [f"{name}: {text}" for text in told]
+    if coarse := np.count_nonzero(changing > CHANGING):
+        told_of = f"At {coarse} of {changing.size} points {TOO_LONG.format(changing.max())}."
+        found.append(told_of)
     return found
 
 
@@ -194,10 +200,13 @@ def _of_current(circuit: Circuit, excess: float, error: float) -> list[str]:
     ]
 
 
-def _of_series(points: xr.Dataset) -> dict[int, list[str]]:
-    """Return warnings on the series of each point: chi still moves, intervals are too long."""
-    moving: dict[int, list[str]] = {}
-    changing: dict[int, list[float]] = {}
+def _of_series(points: xr.Dataset) -> tuple[dict[int, list[str]], Floats]:
+    """Return the replicas of each point in whose series chi still moves.
+
+    And the share of intervals in which the fuller urn changes, a mean over replicas, of each point.
+    """
+    found: dict[int, list[str]] = {}
+    changing = np.full(points["complete"].shape, np.nan)
     transient = points.get("transient_time", xr.zeros_like(points["complete"], float))
     number, start = points["number"].values, points["urn1_number"].values
     if points.attrs.get("shape") != "urn":
@@ -206,15 +215,10 @@ def _of_series(points: xr.Dataset) -> dict[int, list[str]]:
                 replica = int(one["replica"])
                 late = one["time"] > transient[at, replica]
                 if drifts(one["chi"].values[late]):
-                    moving.setdefault(at, []).append(str(replica))
-                share = changing_share(one, number[at], start[at])
-                changing.setdefault(at, []).append(share)
-    told = {at: [f"chi still moves while averages are taken, in replica {', '.join(replicas)}: "
-                 "short transient."] for at, replicas in moving.items()}  # fmt: skip
-    for at, shares in changing.items():
-        if (share := float(np.mean(shares))) > CHANGING:
-            told.setdefault(at, []).append(f"{TOO_LONG.format(share)}.")
-    return told
+                    found.setdefault(at, []).append(str(replica))
+                changing[at, replica] = changes_within(one, number[at], start[at]).mean()
+    known = np.isfinite(changing)
+    return found, np.where(known, changing, 0.0).sum(axis=1) / np.maximum(known.sum(axis=1), 1)
 
 
 def _axial_of(points: xr.Dataset) -> list[int]:

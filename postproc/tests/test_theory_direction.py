@@ -295,12 +295,20 @@ def test_states_between_two_points_of_the_scan_are_found() -> None:
     circuit = Circuit(1000, 5, channel2_width=0.03)
     found = [(one.kind, round(one.mass_spread, 2)) for one in direction.stationary_states(circuit)]
     assert found == [("unstable", 0.67), ("stable", 0.70)]
+    emptied = Circuit(1e5, 1, channel2_width=1e-6, channel1_length=28.0)
+    kinds = [one.kind for one in direction.stationary_states(emptied)]
+    assert kinds == ["unstable", "stable"]
 
 
 def test_the_current_is_proportional_to_a_very_narrow_channel_2() -> None:
     narrow = [Circuit(1000, 7, channel2_width=width) for width in (1e-12, 1e-6)]
     small, large = (direction.stationary_states(one)[-1].net_current for one in narrow)
     assert large / small == pytest.approx(1e6, rel=1e-3)
+    small, large = (direction.flows(one, 950.0)[1].sum() for one in narrow)
+    assert large / small == pytest.approx(1e6, rel=1e-3)
+    unequal = [Circuit(1000, 7, channel2_width=width, urn2_radius=5.0) for width in (1e-10, 1e-7)]
+    small, large = (direction.stationary_states(one)[0].net_current for one in unequal)
+    assert large / small == pytest.approx(1e3, rel=0.01)
 
 
 @pytest.mark.parametrize(("width", "length", "modes"), [(0.3, 0.46579, 1), (0.03, 4.6579, 2)])

@@ -37,6 +37,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy import linalg, optimize
+from scipy.special import expit, logit
 
 from postproc.cli import InputError
 from postproc.progress import doing
@@ -61,7 +62,8 @@ NARROWEST = 1e-9  # width of channel 2, in radii, that represents a closed one
 ROUNDS = 56  # at most, of the iteration of gates and flows, over the weight of new q
 AGREED = 1e-5 / 0.7  # change of q, and of flows relative to the largest, at which it ends
 TAKEN = (0.7, 0.3, 0.1)  # weights of new q, a smaller one if a larger one overshoots
-TURN_STEPS, NEAR = 5, 0.3  # parabolas; height above zero, over that of the lowest point
+TURN_STEPS = 5  # parabolas, at most
+NEAR = 0.3  # lowest |excess| of a parabola over that of the points, above which there is no zero
 LEAST_SHARE = 1e-3  # of the particles in urns, in the emptier one, down to which all is computed
 LAST_EVEN = 0.1  # of them, down to which points are even
 EVENLY, FALLING = 10, 10  # points down to that, and from there to `LEAST_SHARE`
@@ -211,14 +213,10 @@ class Directions:
         """Prepare the transfer matrices of both urns (equal circuits: one)."""
         self.circuit = circuit
         self.sides = circuit.sides
-        self.urns = [
-            transfer(
-                float(one.urn_radius),
-                float(one.channel1_width),
-                max(float(one.channel2_width), NARROWEST * float(one.urn_radius)),
-            )
-            for one in self.sides
-        ]
+        radii, width = [float(one.urn_radius) for one in self.sides], float(circuit.channel2_width)
+        wide = max(width, NARROWEST * max(radii))
+        self.part = width / wide  # of what flows in the channel 2 that represents a narrower one
+        self.urns = [transfer(radius, float(circuit.channel1_width), wide) for radius in radii]
         self.sine, self.weights = fate.directions()
         self.basis = polynomials(self.sine)
         half = 0.5 * float(circuit.channel1_length)
@@ -389,8 +387,7 @@ def growth(circuit: Circuit) -> float:
     # the fuller urn may gain by channel 2 next to equal urns, if it feeds it farther off
     known = equations.allow(held) or (held.known and equations.allow(equations.held(beside)))
     # a channel 2 that represents a closed one must carry less than the gates
-    closed = float(circuit.channel2_width) < NARROWEST * float(circuit.urn_radius)
-    if not known or (closed and held.across[0, 0] > held.through[0]):
+    if not known or (equations.part < 1.0 and held.across[0, 0] > held.through[0]):
         raise _no_flows(circuit)
     found = _excess(held)
     return -found if found < 0.0 and _growing_modes(equations, held) > 1 else found
@@ -437,27 +434,29 @@ def homogeneous_kind(circuit: Circuit) -> str:
 def _with_turns(
     equations: Directions, points: Sequence[tuple[float, Held]]
 ) -> list[tuple[float, Held]]:
-    """Return points of a scan, and places between them where the excess has another sign.
+    """Return points of a scan, and places between them where `_excess` has another sign.
 
-    Between two states that are closer than the points, next to where both begin to exist. They are
-    sought where the excess turns and a parabola through three points comes near zero.
+    There it is between two states that lie between the same two points, next to where both begin to
+    exist. They are sought where |excess| has a minimum, by parabolas in ln(share/(1 - share)).
     """
     more = []
     for trio in zip(points, points[1:], points[2:], strict=False):
-        places, values = [one[0] for one in trio], [_excess(one[1]) for one in trio]
+        places, values = [logit(one[0]) for one in trio], [_excess(one[1]) for one in trio]
         sign, latest = np.sign(values[1]), trio[1][1]
         heights = [sign * one for one in values]
         if not 0.0 < heights[1] < min(heights[0], heights[2]):
             continue
         for _ in range(TURN_STEPS):
-            shape = np.polyfit(places, heights, 2)
-            lowest = -0.5 * shape[1] / shape[0]
-            if not places[2] < lowest < places[0] or np.polyval(shape, lowest) > NEAR * heights[1]:
+            shape = np.polynomial.Polynomial.fit(places, heights, 2)
+            (lowest,) = shape.deriv().roots()
+            if not places[2] < lowest < places[0] or shape(lowest) > NEAR * heights[1]:
                 break
-            latest = equations.held(lowest, latest)
+            latest = equations.held(share := float(expit(lowest)), latest)
+            if not equations.allow(latest):
+                break
             height, at = sign * _excess(latest), 1 if lowest > places[1] else 2
             if height < 0.0:
-                more.append((lowest, latest))
+                more.append((share, latest))
                 break
             places.insert(at, lowest)
             heights.insert(at, height)
@@ -522,8 +521,7 @@ def stationary_states(circuit: Circuit) -> list[State]:
         held_ones = held_ones[1:]
     if not circuit.alike and {"stable"} != {*kinds[:1], *kinds[-1:]}:
         raise InputError(f"theory direction: it does not find all states, {circuit.brief}")
-    # of what flows in a channel 2 that represents a narrower one
-    part = min(1.0, float(circuit.channel2_width) / (NARROWEST * float(circuit.urn_radius)))
+    part = Directions(circuit).part
     for held, kind in held_ones:
         second = float(held.in_half[1])
         chi = abs(2.0 * second - number) / number
@@ -554,8 +552,7 @@ def flows(circuit: Circuit, number2: float) -> Floats:
     Per unit time, shape (channel, way); without circulation. Interpolated between points of `scan`.
     """
     second, carried = _along(circuit, lambda held: [held.through, held.across[:, 0]])
-    if float(circuit.channel2_width) == 0.0:
-        carried[:, 1] = 0.0
+    carried[:, 1] *= Directions(circuit).part
     return between(second, np.moveaxis(carried, 0, -1), number2)
 
 

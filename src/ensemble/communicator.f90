@@ -229,8 +229,8 @@ contains
       task_queue%shared_memory, status)
     call MPI_Comm_set_errhandler(communicator%ranks, MPI_ERRORS_ARE_FATAL)
     if (status /= MPI_SUCCESS) call fatal_error(error, 'battery: '//mpi_library()//' refuses ' &
-      //'one-sided operations between these ranks; Open MPI 4 has them with OMPI_MCA_osc=^ucx, ' &
-      //'or with one rank without OMPI_MCA_osc, in the environment of all ranks')
+      //'one-sided operations between these ranks; Open MPI 4 has them with OMPI_MCA_osc=^ucx ' &
+      //'in the environment of all ranks (one rank: without OMPI_MCA_osc)')
     call share_error(communicator, error)
     if (allocated(error)) return
     call MPI_Win_lock_all(0, task_queue%shared_memory)

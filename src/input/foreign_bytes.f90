@@ -12,14 +12,15 @@ module battery_foreign_bytes
   character(len=1), parameter :: tab = achar(9), return_sign = achar(13)
 
   !> Sequences of bytes that occur in files, in hexadecimal, and what they are. The first ones
-  !> cannot be seen.
-  integer, parameter :: unseen = 6
-  character(len=9), parameter :: sequence(16) = [character(len=9) :: 'C2 A0', 'E2 80 AF', &
-    'C2 AD', 'E2 80 8B', 'E2 81 A0', 'EF BB BF', 'E2 88 92', 'E2 80 93', 'E2 80 94', 'E2 80 98', &
-    'E2 80 99', 'E2 80 9C', 'E2 80 9D', 'FF FE', 'FE FF', '0D']
-  character(len=32), parameter :: meaning(16) = [character(len=32) :: 'a no-break space', &
+  !> cannot be seen, the next ones look like a dash.
+  integer, parameter :: unseen = 6, dashes(5) = [7, 8, 9, 10, 11]
+  character(len=9), parameter :: sequence(18) = [character(len=9) :: 'C2 A0', 'E2 80 AF', &
+    'C2 AD', 'E2 80 8B', 'E2 81 A0', 'EF BB BF', 'E2 88 92', 'E2 80 90', 'E2 80 91', 'E2 80 93', &
+    'E2 80 94', 'E2 80 98', 'E2 80 99', 'E2 80 9C', 'E2 80 9D', 'FF FE', 'FE FF', '0D']
+  character(len=32), parameter :: meaning(18) = [character(len=32) :: 'a no-break space', &
     'a no-break space', 'a soft hyphen', 'a space of no width', 'a space of no width', &
-    'a byte order mark', 'a minus sign, U+2212', 'a dash', 'a dash', 'a typographic quote', &
+    'a byte order mark', 'a minus sign, U+2212', 'a hyphen, U+2010', 'a hyphen, U+2011', &
+    'a dash', 'a dash', 'a typographic quote', &
     'a typographic quote', 'a typographic quote', 'a typographic quote', &
     'the file is UTF-16 or UTF-32', 'the file is UTF-16 or UTF-32', 'a carriage return alone']
 
@@ -139,7 +140,7 @@ contains
     character(len=*), intent(in) :: text
 
     yes = len(text) >= 3
-    if (yes) yes = any(sequence(7:9) == hexadecimal(text(:3)))
+    if (yes) yes = any(sequence(dashes) == hexadecimal(text(:3)))
   end function is_other_dash
 
   !> Bytes as numbers in hexadecimal, with blanks between.

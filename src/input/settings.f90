@@ -74,8 +74,8 @@ contains
       if (allocated(entry%key)) then
         call use_entry(entry, is_repeated, settings)
       else
-        call check_group(groups, entry, first_line, reader%is_in_unknown_group, settings%problems)
-        is_repeated = settings%problems%count > before .and. .not. reader%is_in_unknown_group
+        call check_group(groups, entry, first_line, reader%is_in_unknown_group, is_repeated, &
+          settings%problems)
       end if
       if (settings%problems%count > before .and. (reader%is_in_unknown_group .or. &
         may_be_length(entry, keys))) settings%may_lack_a_length = .true.
@@ -147,15 +147,15 @@ contains
   end subroutine serialize_settings
 
   !> Reports a group that is unknown or repeated.
-  subroutine check_group(groups, entry, first_line, is_unknown, problems)
+  subroutine check_group(groups, entry, first_line, is_unknown, is_repeated, problems)
     !> All groups.
     type(string_type), intent(in) :: groups(:)
     !> The beginning of a group.
     type(entry_type), intent(in) :: entry
     !> Line in which each group is first; 0: none so far.
     integer, intent(inout) :: first_line(:)
-    !> Whether there is no such group.
-    logical, intent(out) :: is_unknown
+    !> Whether there is no such group, or it was there before.
+    logical, intent(out) :: is_unknown, is_repeated
     type(findings_type), intent(inout) :: problems
     integer :: at
 
@@ -163,10 +163,12 @@ contains
       if (groups(at)%text == entry%group) exit
     end do
     is_unknown = at > size(groups)
+    is_repeated = .false.
+    if (.not. is_unknown) is_repeated = first_line(at) > 0
     if (is_unknown) then
       call add_finding(problems, finding_of(entry%line, 'there is no such group'//suggestion('&', &
         closest_word(entry%group, groups)), '&'//join(groups, ', &'), entry%group, kind=of_group))
-    else if (first_line(at) > 0) then
+    else if (is_repeated) then
       call add_finding(problems, finding_of(entry%line, 'is given again', 'once (line ' &
         //to_text(first_line(at))//')', entry%group, kind=of_group))
     else
@@ -343,12 +345,11 @@ contains
     end associate
   end subroutine set_value_at
 
-  !> Whether a number begins with 0 and another digit.
+  !> Whether a number is digits only, of which the first is a 0 that need not be there.
   pure logical function has_leading_zero(number) result(yes)
     character(len=*), intent(in) :: number
 
-    yes = scan(number, '0') == 1 .and. scan(number(min(2, len(number)):), '0123456789') == 1 &
-      .and. len(number) > 1
+    yes = len(number) > 1 .and. index(number, '0') == 1 .and. verify(number, '0123456789') == 0
   end function has_leading_zero
 
   !> Problem of a number outside the bounds of its key; empty: none.

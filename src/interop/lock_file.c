@@ -25,7 +25,7 @@ static int names(const char *path, int descriptor) {
   return named.st_dev == opened.st_dev && named.st_ino == opened.st_ino;
 }
 
-/* Tried more than once, since a signal may interrupt it, and a file server may have no lock at first. */
+/* Tried more than once, since a signal may interrupt it. */
 static int lock(int descriptor) {
   struct flock whole = {.l_type = F_WRLCK, .l_whence = SEEK_SET};
   for (int tries = 0; tries < 3; tries++) {

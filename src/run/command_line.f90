@@ -83,7 +83,8 @@ contains
     json_next = .false.
     do at = 1, size(words)
       if (json_next) then
-        if (index(words(at)%text, '-') /= 1) command%json = words(at)%text
+        if (index(words(at)%text, '-') /= 1 .and. .not. is_other_dash(words(at)%text)) &
+          command%json = words(at)%text
         if (command%json == '') call add_finding(problems, nameless)
         json_next = .false.
       else if (words(at)%text == '--' .and. .not. only_files) then
@@ -97,7 +98,7 @@ contains
         call read_option(words(at)%text, command, problems)
       else if (words(at)%text == '') then
         call add_finding(problems, finding_of(0, 'an empty file name', 'FILE.nml'))
-      else if (unseen_bytes_text(words(at)%text) /= '') then
+      else if (unseen_bytes_text(words(at)%text) /= '' .and. .not. only_files) then
         call add_finding(problems, finding_of(0, words(at)%text//': ' &
           //unseen_bytes_text(words(at)%text)))
       else if (command%file /= '') then
