@@ -41,6 +41,10 @@ if TYPE_CHECKING:
     Groups = Mapping[str, Mapping[str, object]]
 
 STOPPED = 3  # exit code of a run that was stopped early
+REAPED = (
+    "how the run has ended cannot be known, since another part of this Python waits for all its "
+    "processes (a handler of SIGCHLD, waitpid(-1)); the same call goes on, or says that it is done"
+)
 # Places of the program: made in a checkout, or installed beside the Python side.
 BUILT = Path(__file__).resolve().parents[1] / "build/bin/battery"
 INSTALLED = Path(sys.prefix, "../../bin/battery").resolve()
@@ -277,6 +281,8 @@ def _answer(
         if isinstance(namelist, Mapping):
             errors = errors.replace(str(path), "the namelist")
         errors = program_words(errors)
+        if code is None:
+            raise InputError(f"{errors}{': ' if errors else ''}{REAPED}")
         if code == EXIT_BAD_INPUT:
             raise InputError(errors)
         if code:
@@ -411,7 +417,7 @@ def _exit_codes_known() -> Iterator[None]:
         signal.signal(signal.SIGCHLD, before)
 
 
-def _launch(command: list[str], folder: Path, quiet: bool) -> tuple[int, str, str]:
+def _launch(command: list[str], folder: Path, quiet: bool) -> tuple[int | None, str, str]:
     """Return exit code, output and errors of a command; output is printed as it arrives."""
     output = []
     with tempfile.TemporaryFile("w+", encoding="utf-8", errors="replace") as errors:
@@ -430,5 +436,18 @@ def _launch(command: list[str], folder: Path, quiet: bool) -> tuple[int, str, st
                 if process.wait() == STOPPED and isinstance(problem, KeyboardInterrupt):
                     raise KeyboardInterrupt(_reason(STOPPED, "", "")) from None
                 raise
+            code = _exit_code(process)
         errors.seek(0)
-        return process.returncode, "".join(output), errors.read()
+        return code, "".join(output), errors.read()
+
+
+def _exit_code(process: subprocess.Popen[str]) -> int | None:
+    """Return how a process ended; None if something else has waited for it: `wait` would say 0."""
+    if process.returncode is None and hasattr(os, "waitid"):
+        try:
+            ended = os.waitid(os.P_PID, process.pid, os.WEXITED | os.WNOWAIT)
+        except ChildProcessError:
+            return None
+        if ended is not None:
+            return ended.si_status if ended.si_code == os.CLD_EXITED else -ended.si_status
+    return process.wait()

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import h5py
 import numpy as np
+import pandas as pd
 import pytest
 from support.program import namelist, run
 
@@ -171,6 +172,13 @@ def test_theory_is_that_of_each_point(tmp_path: Path) -> None:
         assert float(both.sel(theory="renewal")) == float(there["theory_chi"])
     assert 0.9 < float(one["theory_chi"].sel(threshold=7, number=1000, channel2_width=0.01)) < 1
     assert bool((data["theory_chi"].sel(theory="window") != one["theory_chi"]).any())
+
+
+def test_theories_of_a_dataset_are_replaced_by_others(tmp_path: Path) -> None:
+    path = results_of(tmp_path, {"threshold": "3, 7"})
+    two = postproc.open_results(path, theory=["window", "renewal"])
+    with_window = postproc.table(path, theory="window")
+    pd.testing.assert_frame_equal(postproc.table(two, theory="window"), with_window)
 
 
 def test_a_single_urn_has_its_own_theory(tmp_path: Path) -> None:

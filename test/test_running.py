@@ -10,6 +10,7 @@ import subprocess
 import sys
 import threading
 import time
+from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -164,6 +165,28 @@ def test_ranks_that_nothing_waits_for_are_refused(tmp_path: Path) -> None:
         postproc.run(
             {**CASE, "scan": {"replicas": 0}}, folder=tmp_path, ranks=1_000_000, launcher=unasked
         )
+
+
+def test_where_others_wait_for_the_program_its_end_is_not_known(tmp_path: Path) -> None:
+    """The exit code is lost: `subprocess` says 0. What the program has said is not."""
+
+    def reap(*_: object) -> None:
+        with suppress(ChildProcessError):
+            os.waitpid(-1, os.WNOHANG)
+
+    stopped = changed(
+        run={"duration": None, "transient_duration": None, "collisions": 10**10},
+        limits={"wall_minutes": 0.005},
+    )
+    wrong = changed(particles={"number": -5})
+    before = signal.signal(signal.SIGCHLD, reap)
+    try:
+        with pytest.raises(ValueError, match=r"^how the run has ended"):
+            postproc.run(stopped, folder=tmp_path, quiet=True)
+        with pytest.raises(ValueError, match=r"number = -5: is too small.*: how the run has ended"):
+            postproc.run(wrong, folder=tmp_path, quiet=True)
+    finally:
+        signal.signal(signal.SIGCHLD, before)
 
 
 def test_a_namelist_replaces_one_that_was_written_but_no_other_file(tmp_path: Path) -> None:

@@ -25,6 +25,7 @@ from __future__ import annotations
 import math
 import tempfile
 import time
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
@@ -514,15 +515,16 @@ def _theory_within(
 ) -> tuple[float, float]:
     """Return a theory's value and its processor time; NaN and infinity if that is too long.
 
-    Also if it does not apply to the circuit, or uses random numbers: the probabilities take a
-    theory's value as exact.
+    Also if it does not apply to the circuit, finds no state, or uses random numbers: the
+    probabilities take a theory's value as exact.
     """
     least = model.seconds * (SCAN if quantity == "transition" else 1.0)
     if least >= longest or model.refusal(circuit):
         return math.nan, math.inf
     spread = found.value if quantity == "chi" else found.chi
-    with doing(f"theory {model.name}"):
+    with doing(f"theory {model.name}"), suppress(InputError):
         return theory_says(circuit, model, quantity, spread)
+    return math.nan, math.inf
 
 
 def _apart(found: Pilot, value: float) -> float:

@@ -301,8 +301,8 @@ def draw_curves(
         colour, mark = style.CYCLE[at % len(style.CYCLE)], MARKS[at % len(MARKS)]
         group = part.sortby(across)
         places = (group["threshold"] / group["number"] if as_share else group[across]).values
-        x, x_error = means(group, against) if against else (places, None)
-        y, y_error = means(group, quantity)
+        x, x_error = _means(group, against) if against else (places, None)
+        y, y_error = _means(group, quantity)
         label = ", ".join(equals(name, one) for name, one in value.items())
         drawn.append(axes.errorbar(x, y, y_error, x_error, fmt=mark, color=colour, mfc="none",
                                    elinewidth=0.7, ms=3.8, label=label or "measured"))  # fmt: skip
@@ -319,6 +319,12 @@ def draw_curves(
     if across == "number" and not against:
         style.ticks_at(axes, points["number"].values.tolist())
     return drawn
+
+
+def _means(points: xr.Dataset, name: str) -> tuple[Floats, ...]:
+    """Return `means`; a polarised current of 0 without channel 2, the open circuit."""
+    closed = (points[WIDTH] == 0.0).values & (name == "polarised_current")
+    return tuple(np.where(closed, 0.0, one) for one in means(points, name))
 
 
 def _theory_entry(model: Model, measured: Sequence[Line2D]) -> dict[str, str]:
@@ -401,8 +407,7 @@ def draw_characteristic(axes: Axes, points: xr.Dataset, models: Sequence[Model])
     need_only(points, across)
     values_of(points, "polarised_current")
     points = points.sortby(across)
-    closed = (points[WIDTH] == 0.0).values  # nothing flows: the open circuit
-    current, error = (np.where(closed, 0.0, one) for one in means(points, "polarised_current"))
+    current, error = _means(points, "polarised_current")
     voltage, deviation = voltage_of(*means(points, "chi"))
     if not np.isfinite(voltage).any():
         raise InputError(f"{files_of(points)}: no point has a finite U: chi is 1, or not a mean")

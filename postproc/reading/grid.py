@@ -181,7 +181,7 @@ def with_theory(data: xr.Dataset, theory: str | Sequence[str] | bool) -> xr.Data
             continue
         about = {"long_name": meaning, **({"units": unit} if unit else {})}
         added[name] = xr.Variable(("theory", *axes), values.reshape(-1, *sizes), about)
-    data = data.assign(added)
+    data = data.drop_dims("theory", errors="ignore").assign(added)  # theories that it has
     return data.squeeze("theory", drop=True) if isinstance(theory, str) else data
 
 

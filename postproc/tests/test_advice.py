@@ -294,6 +294,14 @@ def test_what_cannot_be_had_soon_has_its_price_all_the_same() -> None:
     assert min(fine.confidence, finer.confidence) >= advice.SURE
 
 
+def test_a_theory_that_finds_no_state_is_no_error() -> None:
+    """As `direction` with nearly all particles in one urn."""
+    circuit = Circuit(1000, 4, channel2_width=0.0, channel1_length=5.0)
+    value, seconds = advice._theory_within(circuit, MODELS["direction"], FOUND, "chi", 60.0)
+    assert math.isnan(value)
+    assert seconds == math.inf
+
+
 def test_what_is_not_there_is_said() -> None:
     circuit = Circuit(300, 3, 0.4, 0.02)
     nothing = replace(FOUND, value=math.nan, thresholds=[3, 4, 5, 6, 7])

@@ -224,6 +224,17 @@ def test_against_time_the_polarised_current_is_that_of_the_file(tmp_path: Path) 
     assert found[0] > 0.5
 
 
+def test_curves_show_points_without_channel_2(tmp_path: Path) -> None:
+    """At no current, as the characteristic."""
+    scan = {"channel2_width": [0.0, 0.05], "threshold": 7}
+    files = points_of(results_of(tmp_path / "run.h5", scan=scan, output=BARE))
+    for against in ("", "chi"):
+        axes = Figure().add_subplot()
+        (drawn,) = circuits.draw_curves(axes, files, (), "polarised_current", against)
+        assert np.isfinite(drawn.lines[0].get_xydata()).all()
+        assert drawn.lines[0].get_ydata()[0] == 0.0
+
+
 def test_a_series_too_coarse_for_the_polarity_is_told(tmp_path: Path) -> None:
     """The same runs with intervals in which the fuller urn changes."""
     path = results_of(

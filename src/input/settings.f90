@@ -67,6 +67,7 @@ contains
       call set_default(keys(at), settings%all(at))
     end do
     reader = reader_of(text)
+    is_repeated = .false.
     do
       before = settings%problems%count
       call read_next(reader, entry, settings%problems)
@@ -154,7 +155,7 @@ contains
     type(entry_type), intent(in) :: entry
     !> Line in which each group is first; 0: none so far.
     integer, intent(inout) :: first_line(:)
-    !> Whether there is no such group, or it was there before.
+    !> Whether there is no such group; whether it was there before.
     logical, intent(out) :: is_unknown, is_repeated
     type(findings_type), intent(inout) :: problems
     integer :: at
