@@ -68,7 +68,9 @@ def test_no_whole_file(
     [b"", b"! mine, not written by battery-postproc\n", b"\x89PNG mine", b"<!DOCTYPE html>mine",
      b"\x89PNG after one written by battery-postproc", b"%PDF written by battery-postproc",
      b"GIF89a written by battery-postproc", b"....ftypisom written by battery-postproc",
-     b'<!DOCTYPE html><p content="written by battery-postproc">'],
+     b'<!DOCTYPE html><p content="written by battery-postproc">',
+     b"Software\0written by battery-postproc",
+     b'name="generator" content="written by battery-postproc'],
 )  # fmt: skip
 def test_no_file_of_someone_else_is_replaced(
     files: Path, tmp_path: Path, words: list[str], written: str, before: bytes,
