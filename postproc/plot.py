@@ -275,9 +275,10 @@ def lifetimes(
 def characteristic(
     data: xr.Dataset, ax: Axes | None = None, *, theory: str | Sequence[str] = ()
 ) -> list[Line2D]:
-    """Draw U = ln(n2/n1) against the net current J over a scan, as of w', and the power J U.
+    """Draw U = ln(N2/N1) against the net current J over a scan, as of w', and the power J U.
 
-    n2 and n1 are the densities in the fuller and in the emptier urn, J is the polarised current.
+    N2 and N1 are the numbers of particles in the fuller and in the emptier half, as in chi, each
+    with its halves of the channels: U = ln((1 + chi)/(1 - chi)). J is the polarised current.
     The open circuit is where J = 0; beyond the largest power the battery collapses at the
     transition: there J and U are those of fluctuations.
 

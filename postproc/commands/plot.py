@@ -8,7 +8,7 @@ phase_diagram   maps of chi and polarised current over T and w', a row for each 
 flows           flows and net currents against time, a panel a point, eta below (comp05)
 relaxation      chi and polarised current against time, mean and band over replicas (comp06)
 curves          polarised current against T/N, or another key, and against chi (comp01)
-characteristic  voltage ln(n2/n1) and power against the net current over a scan, as of w', or files
+characteristic  voltage ln(N2/N1) and power against the net current over a scan, as of w', or files
                 of several numbers of discs in channel 2
 lifetimes       lifetimes of both states against N, from series that begin in them
 scene           the table of one point to scale with the particles of a snapshot

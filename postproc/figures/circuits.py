@@ -395,10 +395,10 @@ def figure_curves(points: xr.Dataset, models: Sequence[Model] = ()) -> Figure:
 
 
 def draw_characteristic(axes: Axes, points: xr.Dataset, models: Sequence[Model]) -> list[Line2D]:
-    """Draw the voltage U = ln(n2/n1) of the urns' densities against the net current J over a scan.
+    """Draw the voltage U = ln(N2/N1) of the halves against the net current J over a scan.
 
-    n1 is the density of the emptier urn, J the current along the polarity. On a second axis the
-    power J U, full at its maximum. The densities follow from the means of chi; in the homogeneous
+    N1 is the number in the emptier half, J the current along the polarity. On a second axis the
+    power J U, full at its maximum. The ratio follows from the means of chi; in the homogeneous
     state chi and J are those of fluctuations. Points with chi = 1 are not shown: U is infinite.
     Return the lines of U and of J U.
     """
@@ -432,7 +432,7 @@ def draw_characteristic(axes: Axes, points: xr.Dataset, models: Sequence[Model])
             axes.plot(found["polarised_current"], level, color=style.BLUE,
                       label=f"$U$, theory, {model.label}", **look)  # fmt: skip
     axes.set(xlabel="polarised current $J$ (per unit time)",
-             ylabel=r"$U = \ln(n_2/n_1)$, urn 2 the fuller")  # fmt: skip
+             ylabel=r"$U = \ln(N_2/N_1)$, half 2 the fuller")  # fmt: skip
     axes.set_ylim(bottom=0.0)
     right.set_ylabel("power $J U$", color=style.ORANGE)
     right.set_ylim(bottom=min(0.0, right.get_ylim()[0] * (power < 0.0).any()))
@@ -440,7 +440,7 @@ def draw_characteristic(axes: Axes, points: xr.Dataset, models: Sequence[Model])
 
 
 def voltage_of(chi: Floats, error: Floats | float) -> tuple[Floats, Floats]:
-    """Return U = ln(n2/n1) = ln((1 + chi)/(1 - chi)) and its standard error; NaN at chi = 1."""
+    """Return U = ln(N2/N1) = ln((1 + chi)/(1 - chi)) and its standard error; NaN at chi = 1."""
     with np.errstate(divide="ignore", invalid="ignore"):
         known = np.where(chi < 1.0, chi, math.nan)
         return 2.0 * np.arctanh(known), 2.0 * error / (1.0 - known**2)
