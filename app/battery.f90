@@ -104,7 +104,7 @@ contains
       call run_ensemble(plan, communicator, command_line%has(overwrite), command_line%has(quiet), &
         exit_code, error)
       if (communicator%rank == 0 .and. .not. allocated(error)) &
-        call write_run_json(command_line%json, plan%file, error)
+        call write_run_json(command_line%json, plan%file, exit_code, error)
     else if (communicator%rank == 0) then
       call print_plan_report(plan, communicator%size, estimate, command_line%has(overwrite), &
         command_line%json, error)

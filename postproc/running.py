@@ -42,8 +42,8 @@ if TYPE_CHECKING:
 
 STOPPED = 3  # exit code of a run that was stopped early
 REAPED = (
-    "how the run has ended cannot be known, since another part of this Python waits for all its "
-    "processes (a handler of SIGCHLD, waitpid(-1)); the same call goes on, or says that it is done"
+    "how the program has ended cannot be known, since another part of this Python waits for all "
+    "its processes (a handler of SIGCHLD, waitpid(-1))"
 )
 # Places of the program: made in a checkout, or installed beside the Python side.
 BUILT = Path(__file__).resolve().parents[1] / "build/bin/battery"
@@ -281,15 +281,19 @@ def _answer(
         if isinstance(namelist, Mapping):
             errors = errors.replace(str(path), "the namelist")
         errors = program_words(errors)
-        if code is None:
+        answer: dict[str, Any] = {}
+        if not code and json_file.exists():
+            answer = json.loads(json_file.read_text(encoding="utf-8", errors="surrogateescape"))
+        if code is None and not answer:
             raise InputError(f"{errors}{': ' if errors else ''}{REAPED}")
+        code = code or answer.get("exit_code", 0)
         if code == EXIT_BAD_INPUT:
             raise InputError(errors)
         if code:
             raise RunError(code, _reason(code, errors, output))
-        if not json_file.exists():
+        if not answer:
             raise InputError(f"{' '.join(start)}: ended well, but started no battery")
-        return json.loads(json_file.read_text(encoding="utf-8", errors="surrogateescape"))
+        return answer
 
 
 @contextmanager
@@ -311,10 +315,16 @@ def _made_folder(place: Path) -> Iterator[None]:
 
 @contextmanager
 def _work_folder(place: Path) -> Iterator[Path]:
-    """Yield a folder for a run's own files, in the working folder, which other nodes may share."""
+    """Yield a folder for a run's own files, in the working folder, which other nodes may share.
+
+    What another program reads at the end may stay: some servers do not remove open files.
+    """
     here = place if os.access(place, os.W_OK | os.X_OK) else None
-    with tempfile.TemporaryDirectory(prefix=".battery-", dir=here) as folder:
-        yield Path(folder).resolve()
+    folder = Path(tempfile.mkdtemp(prefix=".battery-", dir=here)).resolve()
+    try:
+        yield folder
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
 
 
 def _reason(code: int, errors: str, output: str) -> str:
@@ -433,7 +443,7 @@ def _launch(command: list[str], folder: Path, quiet: bool) -> tuple[int | None, 
                         print(_for_stdout(line), end="", flush=True)
             except BaseException as problem:
                 process.send_signal(signal.SIGUSR1)  # saves the state; mpirun passes it on
-                if process.wait() == STOPPED and isinstance(problem, KeyboardInterrupt):
+                if _exit_code(process) == STOPPED and isinstance(problem, KeyboardInterrupt):
                     raise KeyboardInterrupt(_reason(STOPPED, "", "")) from None
                 raise
             code = _exit_code(process)

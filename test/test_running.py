@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import io
 import os
 import pickle
@@ -10,7 +11,6 @@ import subprocess
 import sys
 import threading
 import time
-from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -20,7 +20,7 @@ from support.program import run as run_program
 
 import postproc
 from postproc.cli import InputError
-from postproc.running import RunError
+from postproc.running import STOPPED, RunError
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -167,26 +167,42 @@ def test_ranks_that_nothing_waits_for_are_refused(tmp_path: Path) -> None:
         )
 
 
-def test_where_others_wait_for_the_program_its_end_is_not_known(tmp_path: Path) -> None:
-    """The exit code is lost: `subprocess` says 0. What the program has said is not."""
+def test_where_others_wait_for_the_program_its_end_is_what_it_has_written(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As with a handler of SIGCHLD: the exit code is lost, and `subprocess` says 0."""
+    asked = os.waitid
 
-    def reap(*_: object) -> None:
-        with suppress(ChildProcessError):
-            os.waitpid(-1, os.WNOHANG)
+    def reaped(kind: int, process: int, options: int) -> Any:
+        os.waitpid(process, 0)
+        return asked(kind, process, options)
 
     stopped = changed(
         run={"duration": None, "transient_duration": None, "collisions": 10**10},
         limits={"wall_minutes": 0.005},
     )
-    wrong = changed(particles={"number": -5})
-    before = signal.signal(signal.SIGCHLD, reap)
-    try:
-        with pytest.raises(ValueError, match=r"^how the run has ended"):
-            postproc.run(stopped, folder=tmp_path, quiet=True)
-        with pytest.raises(ValueError, match=r"number = -5: is too small.*: how the run has ended"):
-            postproc.run(wrong, folder=tmp_path, quiet=True)
-    finally:
-        signal.signal(signal.SIGCHLD, before)
+    monkeypatch.setattr(os, "waitid", reaped)
+    with pytest.raises(RunError, match="stopped early") as ended:
+        postproc.run(stopped, folder=tmp_path, quiet=True)
+    assert ended.value.code == STOPPED
+    with pytest.raises(ValueError, match=r"number = -5: is too small.*: how the program has ended"):
+        postproc.run(changed(particles={"number": -5}), folder=tmp_path, quiet=True)
+    assert postproc.plan(CASE, folder=tmp_path / "new").pending == 4
+    assert postproc.run(CASE, folder=tmp_path / "new", quiet=True).exists()
+
+
+def test_a_folder_that_cannot_be_removed_is_no_error(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As where another program still reads a file in it, on NFS or sshfs."""
+
+    def refused(path: Any, **_: object) -> None:
+        raise OSError(errno.ENOTEMPTY, os.strerror(errno.ENOTEMPTY), path)
+
+    monkeypatch.setattr(os, "rmdir", refused)
+    assert postproc.run(CASE, folder=tmp_path, quiet=True).exists()
+    with pytest.raises(ValueError, match="is too small"):
+        postproc.run(changed(particles={"number": -5}), folder=tmp_path, quiet=True)
 
 
 def test_a_namelist_replaces_one_that_was_written_but_no_other_file(tmp_path: Path) -> None:

@@ -322,8 +322,9 @@ def draw_curves(
 
 
 def _means(points: xr.Dataset, name: str) -> tuple[Floats, ...]:
-    """Return `means`; a polarised current of 0 without channel 2, the open circuit."""
+    """Return `means`; a polarised current of 0 without channel 2, the open circuit, where known."""
     closed = (points[WIDTH] == 0.0).values & (name == "polarised_current")
+    closed &= np.isfinite(means(points, "chi")[0])
     return tuple(np.where(closed, 0.0, one) for one in means(points, name))
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 import warnings
 from collections.abc import Iterable
 from functools import cache, partial
@@ -46,6 +47,8 @@ if TYPE_CHECKING:
 
     Axes = dict[str, tuple[NDArray[np.generic], dict[str, object]]]
 
+# Texts and comments of a namelist, which stay as they are, and the index of one element of a key.
+ELEMENT = re.compile(r"""('[^'\n]*'|"[^"\n]*"|![^\n]*)|\(\s*(\d+)\s*\)(?=\s*=)""")
 SIDES = {"gate_threshold": ("gate", "threshold"), "urn_radius": ("urn", "urn_radius")}
 TABLE = ("shape", "urn_shape", "urn_sides", "urn_vertices", "urn2_vertices")
 UNSAID = {"created", "files", "namelist", "status", "tasks", "mpi_ranks", "scan", "differs",
@@ -388,9 +391,14 @@ def _independent(table: pd.DataFrame) -> list[str]:
 
 
 def groups_in(namelist: str) -> dict[str, Any]:
-    """Return values by group and key; none where the program accepts more than the reader does."""
+    """Return values by group and key; none where the program accepts more than the reader does.
+
+    Of `key(1) = 3, 9` f90nml takes one value, of `key(1:) = 3, 9` all, as Fortran of both.
+    """
     try:
-        return f90nml.reads(namelist)  # type: ignore[no-any-return]
+        return f90nml.reads(  # type: ignore[no-any-return]
+            ELEMENT.sub(lambda found: found[1] or f"({found[2]}:)", namelist)
+        )
     except Exception:  # of any class
         return {}
 

@@ -15,6 +15,7 @@ from postproc.advice import advice, transients
 from postproc.advice.advice import Outcome, Pilot
 from postproc.advice.question import advise, circuit_of
 from postproc.cli import InputError
+from postproc.reading import grid
 from postproc.tests.commands import call
 from postproc.tests.runs import BARE, edited, results_of
 from postproc.theory.circuit import Circuit
@@ -135,6 +136,20 @@ def test_fractions_are_rounded_as_in_the_program() -> None:
     groups, circuit = circuit_of({"particles": particles,
                                   "gate": {"threshold_fraction": [0.025, 0.05]}})  # fmt: skip
     assert (groups["particles"]["urn1_number"], circuit.thresholds) == (11, "3, 5")
+
+
+def test_a_list_from_one_index_on_is_that_list(tmp_path: Path) -> None:
+    """The program and Fortran read both gates; texts and comments are no indices."""
+    path = tmp_path / "a.nml"
+    path.write_text(
+        "&particles number = 200 / ! threshold(1) = 5\n"
+        "&gate threshold( 1 ) = 3, 9 /\n&output file = 'f(1) = .h5' /\n",
+        encoding="utf-8",
+    )
+    groups, circuit = circuit_of(path)
+    assert circuit.thresholds == "3, 9"
+    assert groups["gate"]["threshold"] == [3, 9]
+    assert grid.groups_in(path.read_text())["output"]["file"] == "f(1) = .h5"
 
 
 @pytest.mark.parametrize(("name", "value"), [("tolerance", 0), ("tolerance", "a"),

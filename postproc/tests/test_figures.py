@@ -233,6 +233,9 @@ def test_curves_show_points_without_channel_2(tmp_path: Path) -> None:
         (drawn,) = circuits.draw_curves(axes, files, (), "polarised_current", against)
         assert np.isfinite(drawn.lines[0].get_xydata()).all()
         assert drawn.lines[0].get_ydata()[0] == 0.0
+    files["chi"][0] = math.nan  # not run
+    (drawn,) = circuits.draw_curves(Figure().add_subplot(), files, (), "polarised_current")
+    assert np.isnan(drawn.lines[0].get_ydata()).tolist() == [True, False]
 
 
 def test_a_series_too_coarse_for_the_polarity_is_told(

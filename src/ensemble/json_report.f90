@@ -8,6 +8,7 @@ module battery_json_report
   use battery_kinds, only: int64
   use battery_paths, only: is_pipe_or_device, same_file, real_folder_of
   use battery_plan, only: plan_type
+  use battery_text, only: to_text
   implicit none (type, external)
   private
   public :: check_json_file, write_run_json, write_json
@@ -64,12 +65,13 @@ contains
     end if
   end function reason_to_keep
 
-  !> Writes the absolute path of the results file; null if there is none.
-  subroutine write_run_json(path, results, error)
+  !> Writes the absolute path of the results file, null if there is none, and the exit code.
+  subroutine write_run_json(path, results, exit_code, error)
     !> Path of the JSON file; empty: none is written.
     character(len=*), intent(in) :: path
     !> Path of the results file, relative to the working directory.
     character(len=*), intent(in) :: results
+    integer, intent(in) :: exit_code
     !> The JSON file cannot be written.
     type(error_type), allocatable, intent(out) :: error
     character(len=:), allocatable :: folder, place
@@ -78,7 +80,7 @@ contains
     place = 'null'
     if (folder /= '') &
       place = json_text(folder//'/'//results(index(results, '/', back=.true.) + 1:))
-    call write_json(path, '"results": '//place, error)
+    call write_json(path, '"results": '//place//', "exit_code": '//to_text(exit_code), error)
   end subroutine write_run_json
 
   !> Writes an object with these members behind its mark.

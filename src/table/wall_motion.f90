@@ -120,7 +120,7 @@ contains
     type(urn_type), intent(in) :: urn
     type(motion_type), intent(inout) :: motion
     real(wp), intent(out) :: wait
-    real(wp) :: out, depth, distance, towards, half_width, to_wall
+    real(wp) :: out, depth, distance, to_wall
 
     out = x_direction(motion%urn)
     depth = out*motion%x
@@ -139,12 +139,10 @@ contains
       end if
     end if
     wait = max(distance, 0.0_wp)/max(abs(motion%ux), slowest)
-    half_width = half_width_at(urn, motion)
-    towards = sign(1.0_wp, motion%uy)*motion%y
-    to_wall = max(half_width - towards, 0.0_wp)/max(abs(motion%uy), slowest)
-    ! The times of a corner may differ by rounding: then the particle would come to it on the line.
-    if (to_wall <= wait .or. towards + abs(motion%uy)*wait >= half_width) then
-      wait = min(to_wall, wait)
+    to_wall = max(half_width_at(urn, motion) - sign(1.0_wp, motion%uy)*motion%y, 0.0_wp) &
+      /max(abs(motion%uy), slowest)
+    if (to_wall <= wait) then
+      wait = to_wall
       motion%next = meets_channel_wall
     end if
   end subroutine find_next_wall_in_strip
@@ -166,12 +164,16 @@ contains
       motion%x = x_direction(urn_index)*table%urn(urn_index)%channel_start(channel_of(motion))
     case (meets_urn)
       channel = channel_of(motion)
+      if (sign(1.0_wp, motion%uy)*motion%y >= half_width_at(table%urn(urn_index), motion)) then
+        ! Rounding has brought it to the corner on the line: the wall comes first there, too.
+        motion%next = meets_channel_wall
+        wait = 0.0_wp
+        return
+      end if
       call keep_between_walls(table%urn(urn_index), motion)
       motion%x = x_direction(urn_index)*table%urn(urn_index)%channel_start(channel)
       motion%chamber = int(in_urn, int8)
       associate (urn => table%urn(urn_index))
-        ! By further rounding it may come to the corner nevertheless: along the arc it would stay.
-        if (abs(motion%y) >= urn%half_width(channel)) motion%uy = -sign(motion%uy, motion%y)
         call find_next_wall(urn, channel, facing(channel)*urn%chord(channel), motion%y, &
           urn%axis_sign*motion%ux, motion%uy, motion%next, wait)
       end associate
