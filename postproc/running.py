@@ -292,7 +292,7 @@ def _answer(
         if code:
             raise RunError(code, _reason(code, errors, output))
         if not answer:
-            raise InputError(f"{' '.join(start)}: ended well, but started no battery")
+            raise InputError(errors or f"{' '.join(start)}: ended well, but started no battery")
         return answer
 
 
@@ -363,7 +363,8 @@ def _values(
     for key, value in keys.items():
         plain = plain_value(value)
         plain = str(plain) if isinstance(plain, Path) else plain
-        plain = list(plain) if isinstance(plain, (tuple, range)) else plain
+        if isinstance(plain, (list, tuple, range)):
+            plain = [plain_value(one) for one in plain]
         name = str(key).lower()
         if name not in known:
             problems.append(f"there is no key {key} in &{group}{_choice(name, known)}")

@@ -164,6 +164,6 @@ def _pair(text: str) -> tuple[str, float]:
     """Return KEY=VALUE as a pair."""
     key, _, value = text.partition("=")
     try:
-        return key, float(value)
+        return key.strip(), float(value)
     except ValueError:
         raise argparse.ArgumentTypeError(f"{text}: KEY=VALUE is wanted") from None
