@@ -45,6 +45,12 @@ def changed(**groups: dict[str, Any]) -> dict[str, dict[str, Any]]:
     return {**CASE, **{name: {**CASE.get(name, {}), **keys} for name, keys in groups.items()}}
 
 
+STOPPED_AT_ONCE = changed(
+    run={"duration": None, "transient_duration": None, "collisions": 10**10},
+    limits={"wall_minutes": 0.005},
+)
+
+
 def test_a_run_of_values_is_the_run_of_its_namelist(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -134,6 +140,26 @@ def test_what_no_namelist_has_is_named(tmp_path: Path, message: str, groups: Any
     assert list(tmp_path.iterdir()) == []
 
 
+def test_numbers_of_numpy_are_numbers_in_lists_too() -> None:
+    """As `list(np.arange(3))`, or values of a dataset that were chosen."""
+    given = {"scan": {"threshold": [np.int64(1), 2], "channel2_width": (np.float32(0.5),)}}
+    text = postproc.write_namelist(None, given)
+    assert "threshold = 1, 2" in text
+    assert "channel2_width = 0.5" in text
+
+
+def test_a_launcher_that_loses_exit_codes_does_not_hide_the_end(tmp_path: Path) -> None:
+    """As `setsid`, or a pipe in a script."""
+    script = tmp_path / "launch"
+    script.write_text('#!/bin/sh\nshift\n"$@" || true\n')
+    script.chmod(0o755)
+    with pytest.raises(RunError, match="stopped early"):
+        postproc.run(STOPPED_AT_ONCE, folder=tmp_path, ranks=2, quiet=True, launcher=[str(script)])
+    with pytest.raises(ValueError, match="number = -5: is too small"):
+        postproc.run(changed(particles={"number": -5}), folder=tmp_path, ranks=2, quiet=True,
+                     launcher=[str(script)])  # fmt: skip
+
+
 def test_all_that_is_wrong_is_told_at_once() -> None:
     with pytest.raises(ValueError, match=r"seeed.*oyster"):
         postproc.write_namelist(None, {"particles": {"seeed": 1}, "oyster": {}})
@@ -177,13 +203,9 @@ def test_where_others_wait_for_the_program_its_end_is_what_it_has_written(
         os.waitpid(process, 0)
         return asked(kind, process, options)
 
-    stopped = changed(
-        run={"duration": None, "transient_duration": None, "collisions": 10**10},
-        limits={"wall_minutes": 0.005},
-    )
     monkeypatch.setattr(os, "waitid", reaped)
     with pytest.raises(RunError, match="stopped early") as ended:
-        postproc.run(stopped, folder=tmp_path, quiet=True)
+        postproc.run(STOPPED_AT_ONCE, folder=tmp_path, quiet=True)
     assert ended.value.code == STOPPED
     with pytest.raises(ValueError, match=r"number = -5: is too small.*: how the program has ended"):
         postproc.run(changed(particles={"number": -5}), folder=tmp_path, quiet=True)
