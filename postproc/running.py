@@ -287,12 +287,13 @@ def _answer(
         if code is None and not answer:
             raise InputError(f"{errors}{': ' if errors else ''}{REAPED}")
         code = code or answer.get("exit_code", 0)
+        refusal = errors or program_words(output)  # a launcher may join both
         if code == EXIT_BAD_INPUT:
-            raise InputError(errors)
+            raise InputError(refusal)
         if code:
             raise RunError(code, _reason(code, errors, output))
         if not answer:
-            raise InputError(errors or f"{' '.join(start)}: ended well, but started no battery")
+            raise InputError(refusal or f"{' '.join(start)}: ended well, but started no battery")
         return answer
 
 

@@ -151,7 +151,7 @@ def test_numbers_of_numpy_are_numbers_in_lists_too() -> None:
 def test_a_launcher_that_loses_exit_codes_does_not_hide_the_end(tmp_path: Path) -> None:
     """As `setsid`, or a pipe in a script."""
     script = tmp_path / "launch"
-    script.write_text('#!/bin/sh\nshift\n"$@" || true\n')
+    script.write_text('#!/bin/sh\nshift\n"$@" 2>&1 || true\n')
     script.chmod(0o755)
     with pytest.raises(RunError, match="stopped early"):
         postproc.run(STOPPED_AT_ONCE, folder=tmp_path, ranks=2, quiet=True, launcher=[str(script)])
