@@ -28,7 +28,6 @@ from postproc.cli import (
     existing_file,
     file_to_write,
     marked_namelist,
-    output_folder,
     path_of,
     plain_value,
     replaced,
@@ -273,7 +272,7 @@ def _answer(
     """Return the JSON output of the program; `start` is before it on the command line."""
     battery = find_program(program)
     place = path_of("." if folder is None else folder, "folder")
-    with _made_folder(place), _work_folder(place) as work:
+    with _work_folder(place) as work:
         path, json_file = _namelist_file(namelist, battery, work), work / "answer.json"
         words = [*words, "--json", str(json_file), "--", str(path)]
         with _exit_codes_known():
@@ -298,34 +297,36 @@ def _answer(
 
 
 @contextmanager
-def _made_folder(place: Path) -> Iterator[None]:
-    """Make a folder for a run; it is removed if the run is refused."""
-    try:
-        made = [one for one in (place, *place.parents) if not one.exists()]
-    except OSError as problem:
-        raise InputError(f"cannot make folder {place}: {problem.strerror}") from problem
-    try:
-        output_folder(place)
-        yield
-    except InputError:
-        with suppress(OSError):  # another process has written into it
-            for one in made:
-                one.rmdir()
-        raise
-
-
-@contextmanager
 def _work_folder(place: Path) -> Iterator[Path]:
     """Yield a folder for a run's own files, in the working folder, which other nodes may share.
 
-    What another program reads at the end may stay: some servers do not remove open files.
+    The working folder is made, and removed again if the run is refused. What another program still
+    reads at the end stays: some servers do not remove open files.
     """
-    here = place if os.access(place, os.W_OK | os.X_OK) else None
-    folder = Path(tempfile.mkdtemp(prefix=".battery-", dir=here)).resolve()
+    made: list[Path] = []
+    folder = None
+    tries = 100  # another run that is refused may remove the working folder meanwhile
+    while folder is None:
+        tries -= 1
+        try:
+            made = [one for one in (place, *place.parents) if not one.exists()]
+            place.mkdir(parents=True, exist_ok=True)
+            here = place if os.access(place, os.W_OK | os.X_OK) else None
+            folder = Path(tempfile.mkdtemp(prefix=".battery-", dir=here)).resolve()
+        except OSError as problem:
+            if not isinstance(problem, FileNotFoundError) or tries == 0:
+                raise InputError(f"cannot make folder {place}: {problem.strerror}") from problem
+    refused = False
     try:
         yield folder
+    except InputError:
+        refused = True
+        raise
     finally:
         shutil.rmtree(folder, ignore_errors=True)
+        with suppress(OSError):  # another process has written into it
+            for one in made if refused else ():
+                one.rmdir()
 
 
 def _reason(code: int, errors: str, output: str) -> str:

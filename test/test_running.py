@@ -9,6 +9,7 @@ import pickle
 import signal
 import subprocess
 import sys
+import tempfile
 import threading
 import time
 from typing import TYPE_CHECKING, Any
@@ -211,6 +212,24 @@ def test_where_others_wait_for_the_program_its_end_is_what_it_has_written(
         postproc.run(changed(particles={"number": -5}), folder=tmp_path, quiet=True)
     assert postproc.plan(CASE, folder=tmp_path / "new").pending == 4
     assert postproc.run(CASE, folder=tmp_path / "new", quiet=True).exists()
+
+
+def test_a_folder_that_another_refused_run_removes_is_made_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of runs in a pool, all in one new folder, the first of which is refused."""
+    made, removed = tempfile.mkdtemp, []
+
+    def after_removal(prefix: str, **given: Any) -> str:
+        if given["dir"] and not removed:
+            removed.append(given["dir"])
+            given["dir"].rmdir()
+        return made(prefix=prefix, **given)
+
+    monkeypatch.setattr(tempfile, "mkdtemp", after_removal)
+    place = tmp_path / "new/one"
+    assert postproc.run(CASE, folder=place, quiet=True).exists()
+    assert removed == [place]
 
 
 def test_a_folder_that_cannot_be_removed_is_no_error(

@@ -14,8 +14,9 @@ module battery_plan_report
   use battery_precision, only: decide_replicas
   use battery_results, only: results_type, new_results
   use battery_signals, only: stop_requested, set_stop_error
-  use battery_simulation, only: simulation_type, advance_simulation
+  use battery_simulation, only: simulation_type
   use battery_table, only: channel1, channel2
+  use battery_task_loop, only: advance_some_windows
   use battery_tasks, only: task_type, task_count, task_of, begin_task
   use battery_terminal, only: print_line
   use battery_text, only: duration_text, rate_text, to_text, count_text, numbers_text
@@ -248,7 +249,7 @@ contains
       if (allocated(error)) return
       began = cpu_seconds()
       do
-        call advance_simulation(simulation)
+        call advance_some_windows(simulation)
         spent = max(cpu_seconds() - began, 1.0e-9_dp)
         if (stop_requested()) call set_stop_error(error)
         if (allocated(error)) return

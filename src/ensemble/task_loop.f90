@@ -25,7 +25,7 @@ module battery_task_loop
   use battery_text, only: to_text
   implicit none (type, external)
   private
-  public :: monitor_type, run_tasks
+  public :: monitor_type, run_tasks, advance_some_windows
 
   !> Timers and the stop flag that a running task checks between windows.
   type :: monitor_type
