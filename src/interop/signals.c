@@ -22,14 +22,14 @@ static double now(void)
   return (double)time.tv_sec + 1e-9*(double)time.tv_nsec;
 }
 
-/* The system sends SIGXCPU once a second, and SIGHUP again when the shell ends: as a further signal
-   they do not ask for an end at once. */
+/* As a further signal only SIGINT and SIGTERM ask for an end at once. The system sends SIGXCPU once a
+   second, SIGHUP again when the shell ends, and SIGUSR1 when a Python that has sent it already ends. */
 static void receive(int number)
 {
   if (!received) {
     received_at = now();
     received = number;
-  } else if (number != SIGXCPU && number != SIGHUP && now() - received_at > same_signal) {
+  } else if ((number == SIGINT || number == SIGTERM) && now() - received_at > same_signal) {
     _exit(128 + number);
   }
 }
