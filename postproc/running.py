@@ -278,7 +278,7 @@ def _answer(
         with _exit_codes_known():
             code, output, errors = _launch([*start, str(battery), *words], place, quiet)
         if isinstance(namelist, Mapping):
-            errors = errors.replace(str(path), "the namelist")
+            errors, output = (one.replace(str(path), "the namelist") for one in (errors, output))
         errors = program_words(errors)
         answer: dict[str, Any] = {}
         if not code and json_file.exists():
@@ -286,13 +286,14 @@ def _answer(
         if code is None and not answer:
             raise InputError(f"{errors}{': ' if errors else ''}{REAPED}")
         code = code or answer.get("exit_code", 0)
-        refusal = errors or program_words(output)  # a launcher may join both
+        words = errors or program_words(output)  # a launcher may join both
         if code == EXIT_BAD_INPUT:
-            raise InputError(refusal)
+            raise InputError(words)
         if code:
             raise RunError(code, _reason(code, errors, output))
         if not answer:
-            raise InputError(refusal or f"{' '.join(start)}: ended well, but started no battery")
+            about = f"{' '.join(start)}: has exit code 0, but no battery has ended well"
+            raise InputError(errors or f"{about}{': ' if words else ''}{words}")
         return answer
 
 
@@ -315,7 +316,8 @@ def _work_folder(place: Path) -> Iterator[Path]:
             folder = Path(tempfile.mkdtemp(prefix=".battery-", dir=here)).resolve()
         except OSError as problem:
             if not isinstance(problem, FileNotFoundError) or tries == 0:
-                raise InputError(f"cannot make folder {place}: {problem.strerror}") from problem
+                where = problem.filename or place
+                raise InputError(f"cannot make folder {where}: {problem.strerror}") from problem
     refused = False
     try:
         yield folder

@@ -14,7 +14,7 @@ module battery_plan_report
   use battery_precision, only: decide_replicas
   use battery_results, only: results_type, new_results
   use battery_signals, only: stop_requested, set_stop_error
-  use battery_simulation, only: simulation_type
+  use battery_simulation, only: simulation_type, advance_simulation
   use battery_table, only: channel1, channel2
   use battery_task_loop, only: advance_some_windows
   use battery_tasks, only: task_type, task_count, task_of, begin_task
@@ -248,12 +248,14 @@ contains
       call begin_task(task, plan%file_particles, simulation, error)
       if (allocated(error)) return
       began = cpu_seconds()
+      ! One window may take seconds.
+      call advance_simulation(simulation)
       do
-        call advance_some_windows(simulation)
         spent = max(cpu_seconds() - began, 1.0e-9_dp)
         if (stop_requested()) call set_stop_error(error)
         if (allocated(error)) return
         if (spent > try_seconds .or. simulation%done) exit
+        call advance_some_windows(simulation)
       end do
       tried = tried + 1
       collisions = real(simulation%engine%collisions(), dp)
