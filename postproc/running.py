@@ -286,14 +286,14 @@ def _answer(
         if code is None and not answer:
             raise InputError(f"{errors}{': ' if errors else ''}{REAPED}")
         code = code or answer.get("exit_code", 0)
-        words = errors or program_words(output)  # a launcher may join both
+        said = errors or program_words(output)  # a launcher may join both
         if code == EXIT_BAD_INPUT:
-            raise InputError(words)
+            raise InputError(said)
         if code:
             raise RunError(code, _reason(code, errors, output))
         if not answer:
             about = f"{' '.join(start)}: has exit code 0, but no battery has ended well"
-            raise InputError(errors or f"{about}{': ' if words else ''}{words}")
+            raise InputError(errors or f"{about}{': ' if said else ''}{said}")
         return answer
 
 
