@@ -281,12 +281,13 @@ def _answer(
             errors, output = (one.replace(str(path), "the namelist") for one in (errors, output))
         errors = program_words(errors)
         answer: dict[str, Any] = {}
-        if not code and json_file.exists():
+        with suppress(OSError, ValueError):  # none, or not all of it
             answer = json.loads(json_file.read_text(encoding="utf-8", errors="surrogateescape"))
         if code is None and not answer:
             raise InputError(f"{errors}{': ' if errors else ''}{REAPED}")
-        code = code or answer.get("exit_code", 0)
-        said = errors or program_words(output)  # a launcher may join both
+        code = answer.get("exit_code", 0) or code  # launchers have codes of their own
+        # The program refuses before it prints; a launcher may join both, and print, too.
+        said = "\n".join(filter(None, [program_words(output), errors]))
         if code == EXIT_BAD_INPUT:
             raise InputError(said)
         if code:
@@ -336,7 +337,8 @@ def _reason(code: int, errors: str, output: str) -> str:
     if code == STOPPED:
         return "stopped early, the state is saved: the same call, without overwrite, goes on"
     failures = [line for line in output.splitlines() if " failed: " in line]
-    return errors or "\n".join(failures) or f"the program ended with {code}"
+    last = program_words(output).rpartition("\n")[2]
+    return errors or "\n".join(failures) or last or f"the program ended with {code}"
 
 
 @lru_cache

@@ -152,13 +152,18 @@ def test_numbers_of_numpy_are_numbers_in_lists_too() -> None:
 def test_a_launcher_that_loses_exit_codes_does_not_hide_the_end(tmp_path: Path) -> None:
     """As `setsid`, or a pipe in a script."""
     script = tmp_path / "launch"
-    script.write_text('#!/bin/sh\nshift\n"$@" 2>&1 || true\n')
-    script.chmod(0o755)
-    with pytest.raises(RunError, match="stopped early"):
-        postproc.run(STOPPED_AT_ONCE, folder=tmp_path, ranks=2, quiet=True, launcher=[str(script)])
-    with pytest.raises(ValueError, match=r"well: the namelist, line \d+: .*number = -5: is too"):
-        postproc.run(changed(particles={"number": -5}), folder=tmp_path, ranks=2, quiet=True,
-                     launcher=[str(script)])  # fmt: skip
+    script.touch(0o755)
+    for end in ("true", "exit 1"):
+        script.write_text(f'#!/bin/sh\nshift\n"$@" 2>&1 || {end}\n')
+        with pytest.raises(RunError, match="stopped early") as ended:
+            postproc.run(STOPPED_AT_ONCE, folder=tmp_path, ranks=2, quiet=True,
+                         launcher=[str(script)])  # fmt: skip
+        assert ended.value.code == STOPPED
+    for line in ('"$@" 2>&1 || true', 'echo loaded >&2; exec "$@" 2>&1', '"$@" || true'):
+        script.write_text(f"#!/bin/sh\nshift\n{line}\n")
+        with pytest.raises(ValueError, match=r"the namelist, line \d+: .*number = -5: is too"):
+            postproc.run(changed(particles={"number": -5}), folder=tmp_path, ranks=2, quiet=True,
+                         launcher=[str(script)])  # fmt: skip
 
 
 def test_all_that_is_wrong_is_told_at_once() -> None:
