@@ -338,7 +338,7 @@ def _reason(code: int, errors: str, output: str) -> str:
         return "stopped early, the state is saved: the same call, without overwrite, goes on"
     failures = [line for line in output.splitlines() if " failed: " in line]
     last = program_words(output).rpartition("\n")[2]
-    return errors or "\n".join(failures) or last or f"the program ended with {code}"
+    return "\n".join(failures) or errors or last or f"the program ended with {code}"
 
 
 @lru_cache

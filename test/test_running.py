@@ -166,6 +166,25 @@ def test_a_launcher_that_loses_exit_codes_does_not_hide_the_end(tmp_path: Path) 
                          launcher=[str(script)])  # fmt: skip
 
 
+@pytest.mark.parametrize("ranks", [1, 2])
+def test_a_task_that_fails_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, ranks: int
+) -> None:
+    """Whatever a launcher prints then: all collisions of 100 particles are in one window."""
+    for name in ALONE.keys() - ENVIRONMENT.keys():
+        monkeypatch.delenv(name)
+    case = {
+        "particles": {"number": 100},
+        "gate": {"threshold": 2},
+        "run": {"collisions": 150, "engine": "reservoir"},
+        "scan": {"number": [2, 100], "replicas": 1},
+        "output": {"file": "a.h5"},
+    }
+    with pytest.raises(RunError, match=r"^.*number = 100, replica 0 failed: ") as ended:
+        postproc.run(case, folder=tmp_path, ranks=ranks, quiet=True)
+    assert ended.value.code == 1
+
+
 def test_all_that_is_wrong_is_told_at_once() -> None:
     with pytest.raises(ValueError, match=r"seeed.*oyster"):
         postproc.write_namelist(None, {"particles": {"seeed": 1}, "oyster": {}})
