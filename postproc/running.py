@@ -283,18 +283,16 @@ def _answer(
         answer: dict[str, Any] = {}
         with suppress(OSError, ValueError):  # none, or not all of it
             answer = json.loads(json_file.read_text(encoding="utf-8", errors="surrogateescape"))
-        if code is None and not answer:
-            raise InputError(f"{errors}{': ' if errors else ''}{REAPED}")
-        code = answer.get("exit_code", 0) or code  # launchers have codes of their own
         # The program refuses before it prints; a launcher may join both, and print, too.
         said = "\n".join(filter(None, [program_words(output), errors]))
+        if not (code or answer):
+            lost = f"{' '.join(start)} has exit code 0, but no battery has ended well"
+            raise InputError(": ".join(filter(None, [said, REAPED if code is None else lost])))
+        code = answer.get("exit_code", 0) or code  # launchers have codes of their own
         if code == EXIT_BAD_INPUT:
             raise InputError(said)
         if code:
             raise RunError(code, _reason(code, errors, output))
-        if not answer:
-            about = f"{' '.join(start)}: has exit code 0, but no battery has ended well"
-            raise InputError(errors or f"{about}{': ' if said else ''}{said}")
         return answer
 
 

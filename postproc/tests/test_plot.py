@@ -179,7 +179,7 @@ def test_every_point_of_pairs_that_repeat_a_value_is_shown_and_can_be_chosen(
     cells = {*zip(columns["left"], columns["bottom"], columns["threshold2"], strict=True)}
     assert len(cells) == data["task"].size
     assert "threshold2" in scan.others
-    words = ["curves", str(path), "--output", str(tmp_path), "--select", "threshold2=8"]
+    words = ["curves", str(path), "--output", str(tmp_path), "--select", "threshold2 = 8"]
     assert call("plot", words) == 2
     assert "no point has threshold2 = 8; there are 1, 9" in capsys.readouterr().err
 
