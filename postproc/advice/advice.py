@@ -59,6 +59,7 @@ QUANTITIES = ("chi", "polarised_current", "transition")
 SURE = 0.95  # probability with which the advised runs meet the tolerance
 REPLICAS = 16  # of a pilot
 FROM_ZERO = 3.0  # errors of its mean, by which that must differ from 0
+NOT_SAID = 1e-4  # of a value: what is lacking below this is rounding, or does not matter
 LACKING = 0.25  # of the tolerance: part of a current that may be missing in a young run
 NEAR = 1.1  # factor by which a pilot's transient may be shorter than its own result requires
 LARGE = 0.75  # chi below which the circuit may be close to a transition
@@ -480,7 +481,7 @@ def advise(
         f"{found.value:.4g} +- {error:.1g}, "
         f"each scatters by {found.error / abs(found.value):.2g} of it"
     )
-    if found.lacking:
+    if abs(found.lacking) > NOT_SAID * abs(found.value):
         needed += (
             f"; behind a transient of {found.transient:g} it lacks "
             f"{100.0 * found.lacking / abs(found.value):.2g} % by theory, for circulations are "

@@ -433,7 +433,7 @@ def draw_characteristic(axes: Axes, points: xr.Dataset, models: Sequence[Model])
             axes.plot(found["polarised_current"], level, color=style.BLUE,
                       label=f"$U$, theory, {model.label}", **look)  # fmt: skip
     axes.set(xlabel="polarised current $J$ (per unit time)",
-             ylabel=r"$U = \ln(N_2/N_1)$, half 2 the fuller")  # fmt: skip
+             ylabel=r"$U = \ln(N_2/N_1)$, $N_2$ in the fuller half")  # fmt: skip
     axes.set_ylim(bottom=0.0)
     right.set_ylabel("power $J U$", color=style.ORANGE)
     right.set_ylim(bottom=min(0.0, right.get_ylim()[0] * (power < 0.0).any()))
