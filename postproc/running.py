@@ -11,13 +11,14 @@ import subprocess
 import sys
 import tempfile
 import threading
+from collections import deque
 from collections.abc import Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import lru_cache
 from numbers import Integral
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import IO, TYPE_CHECKING, Any
 
 import f90nml
 
@@ -158,7 +159,7 @@ def run(
     """Run the program, or resume a run; return the absolute path of its results file.
 
     An interruption of Python (Ctrl-C) stops the run such that the same call resumes it; so does the
-    end of Python, for any reason (on Linux).
+    end of Python, for any reason (on Linux), unless the system then kills all its processes.
 
     Parameters
     ----------
@@ -335,7 +336,8 @@ def _reason(code: int, errors: str, output: str) -> str:
     if code == STOPPED:
         return "stopped early, the state is saved: the same call, without overwrite, goes on"
     failures = [line for line in output.splitlines() if " failed: " in line]
-    last = program_words(output).rpartition("\n")[2]
+    by_signal = code < 0 or code > 128  # of a launcher
+    last = "" if by_signal else program_words(output).rpartition("\n")[2]
     return "\n".join(failures) or errors or last or f"the program ended with {code}"
 
 
@@ -432,10 +434,17 @@ def _exit_codes_known() -> Iterator[None]:
         signal.signal(signal.SIGCHLD, before)
 
 
+def _errors_file() -> IO[str]:
+    """Return a file for standard error: on Linux in memory, since the disk may be full."""
+    if hasattr(os, "memfd_create"):
+        return os.fdopen(os.memfd_create("errors"), "w+", encoding="utf-8", errors="replace")
+    return tempfile.TemporaryFile("w+", encoding="utf-8", errors="replace")
+
+
 def _launch(command: list[str], folder: Path, quiet: bool) -> tuple[int | None, str, str]:
     """Return exit code, output and errors of a command; output is printed as it arrives."""
     output = []
-    with tempfile.TemporaryFile("w+", encoding="utf-8", errors="replace") as errors:
+    with _errors_file() as errors:
         with subprocess.Popen(
             ended_with_python(command), cwd=folder, stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE, stderr=errors, encoding="utf-8", errors="replace",
@@ -448,6 +457,7 @@ def _launch(command: list[str], folder: Path, quiet: bool) -> tuple[int | None, 
                         print(_for_stdout(line), end="", flush=True)
             except BaseException as problem:
                 process.send_signal(signal.SIGUSR1)  # saves the state; mpirun passes it on
+                deque(process.stdout or (), maxlen=0)  # or a full pipe would hold it
                 if _exit_code(process) == STOPPED and isinstance(problem, KeyboardInterrupt):
                     raise KeyboardInterrupt(_reason(STOPPED, "", "")) from None
                 raise

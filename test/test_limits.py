@@ -303,3 +303,32 @@ def test_wall_minutes_count_from_the_start(tmp_path: Path) -> None:
     ended = run("--check", "case.nml", folder=tmp_path)
     assert ended.returncode == 3
     assert "stopped by &limits wall_minutes; nothing was written" in ended.stderr
+
+
+GROUP = """
+mount -t tmpfs none /sys/fs/cgroup || exit 77
+mkdir /sys/fs/cgroup/memory
+for folder in /sys/fs/cgroup /sys/fs/cgroup/memory; do
+cd $folder
+echo 300000000 | tee memory.max > memory.limit_in_bytes
+echo 299000000 | tee memory.current > memory.usage_in_bytes
+printf "%sinactive_file 1000000\\n%sactive_file $2\\n" "" "" total_ total_ > memory.stat
+done
+cd "$1"
+exec {program} --check case.nml
+"""
+
+
+@pytest.mark.parametrize(("active", "code"), [("290000000", 0), ("1000000", 2)])
+def test_cached_files_of_a_control_group_are_free_memory(
+    tmp_path: Path, active: str, code: int
+) -> None:
+    write(tmp_path)
+    words = ["unshare", "-rm", "sh", "-c", GROUP.format(program=PROGRAM), "sh", str(tmp_path)]
+    done = subprocess.run(
+        [*words, active], env=ALONE, capture_output=True, text=True, timeout=PATIENCE, check=False
+    )
+    if done.returncode == 77:
+        pytest.skip("this system does not let us mount a small file system")
+    assert done.returncode == code, done.stderr
+    assert ("control group" in done.stderr) == (code == 2)

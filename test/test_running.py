@@ -423,3 +423,44 @@ def test_a_run_that_stops_early_says_so(tmp_path: Path) -> None:
     again = pickle.loads(pickle.dumps(caught.value))  # as pools of processes do
     assert (str(again), again.code) == (str(caught.value), 3)
     assert postproc.open_results(tmp_path / "it's.h5").attrs["status"] == "partial"
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
+def test_a_run_that_is_killed_has_no_reason_that_it_has_printed_before(tmp_path: Path) -> None:
+    groups = changed(run={"duration": 1e9}, gate={"threshold": 200}, output={"file": "out.h5"})
+
+    def kill() -> None:
+        while not (tmp_path / "out.h5.tasks/plan").exists():
+            time.sleep(0.01)
+        owner = (tmp_path / "out.h5.owner").read_text(encoding="utf-8")
+        number = next(int(word) for word in owner.split() if word.isdigit())
+        os.kill(number, signal.SIGKILL)
+
+    killer = threading.Thread(target=kill)
+    killer.start()
+    with pytest.raises(RunError) as problem:
+        postproc.run(groups, folder=tmp_path, quiet=True)
+    killer.join()
+    assert problem.value.code == -signal.SIGKILL
+    assert str(problem.value) == "the program ended with -9"
+
+
+class Closed(io.StringIO):
+    """Standard output whose reader has gone."""
+
+    def write(self, _: str) -> int:
+        """Fail as a pipe without a reader does."""
+        raise BrokenPipeError
+
+
+def test_output_that_nobody_reads_ends_a_run_that_prints_much(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    groups = changed(
+        run={"duration": None, "transient_duration": None, "collisions": 150},
+        scan={"channel2_width": None, "channel2_width_range": [0.001, 0.2, 1500], "replicas": 1},
+        output={"file": "out.h5"},
+    )
+    monkeypatch.setattr(sys, "stdout", Closed())
+    with pytest.raises(BrokenPipeError):
+        postproc.run(groups, folder=tmp_path)

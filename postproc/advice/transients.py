@@ -1,6 +1,8 @@
 """Transients of runs, for chi and for currents.
 
-chi relaxes with the directions of particles, in 25 r^4/w^3, and next to a transition more slowly.
+chi relaxes with the directions of particles, in 25 r^4/w^3, and next to a transition more slowly;
+near equal numbers with those, which takes long where both gates reverse all and w' is small, and
+takes as long to grow to a state that is polarised.
 The current of channel 2 still grows long after that: orbits of m rounds are filled only after the
 time of m rounds, each decade of m carries about as much as the one before, and this ends where the
 gate of the sparse urn reverses a circulating particle, after 1/(1 - q) rounds. The part that is
@@ -11,12 +13,14 @@ measurements against the age of runs.
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy import integrate
 
+from postproc.theory.circuit import eta, stability
 from postproc.theory.circulation import circulating_at
 from postproc.theory.direction import DIFFUSION
 from postproc.theory.models import MODELS
@@ -28,7 +32,8 @@ if TYPE_CHECKING:
 
     Floats = NDArray[np.float64]
 
-RELAXATIONS = 3.0  # relaxation times of directions in a transient
+RELAXATIONS = 3.0  # relaxation times of directions, and of numbers, in a transient
+PLACES = 2001  # of N2, from equal numbers on
 # Times in radii, at speed 1:
 SHORTEST = 1000.0  # transient
 CRITICAL = 9000.0  # transient next to a transition: a margin (experiment 5 found 500 enough)
@@ -61,11 +66,34 @@ def memory_time(circuit: Circuit) -> float:
     return visit / (6.0 * DIFFUSION * (width / radius) ** 2)
 
 
+def number_time(circuit: Circuit) -> float:
+    """Return the time after which a run from equal numbers has left them, or fluctuates about them.
+
+    A difference grows from N**0.5 with dN2/dt = eta, but at a time that scatters by some of the
+    times in which it grows near equal numbers, or decays there. At most `LONGEST`.
+    """
+    if circuit.shape == "urn":
+        return 0.0
+    mixed = MODELS["renewal"].of(replace(circuit, scatterers=()))
+    number, width, times = float(circuit.number), float(circuit.channel2_width), [0.0]
+    for way, side in zip((-1.0, 1.0), mixed.sides, strict=True):
+        first, last = 0.5 * (number + way * math.sqrt(number)), 0.5 * number * (1.0 + way)
+        place = np.linspace(first, last, PLACES)
+        rate = way * eta(mixed, place)
+        growing = int(np.argmin(np.append(rate, 0.0) > 0.0))
+        growth = abs(float(integrate.trapezoid(1.0 / rate[:growing], place[:growing])))
+        if near := max(width, abs(float(stability(side, width)))):
+            near = 0.5 * math.pi * float(side.urn_area) / near
+        times.append(growth + RELAXATIONS * near)
+    return min(max(times), LONGEST * largest_radius(circuit))
+
+
 def of_chi(circuit: Circuit, *, critical: bool) -> float:
     """Return the transient of chi, next to a transition or elsewhere."""
     radius = largest_radius(circuit)
     least = CRITICAL if critical else SHORTEST
-    slowest = max(least, *(RELAXATIONS * memory_time(side) / radius for side in circuit.sides))
+    directions = RELAXATIONS * max(memory_time(side) for side in circuit.sides)
+    slowest = max(least, directions / radius, number_time(circuit) / radius)
     return radius * 100.0 * math.ceil(0.01 * slowest)
 
 

@@ -82,11 +82,11 @@ def draw_eta(
     axes.axhline(0.0, color=style.GREY, linewidth=0.6)
     lines = []
     for model in models:
-        look = {"color": style.BLACK, "ls": model.dashes, "lw": 1.0}
+        look = {"color": style.ink(), "ls": model.dashes, "lw": 1.0}
         lines += axes.plot(second / total, model.eta(circuit, second), label=model.label, **look)
         for zero, kind in model.zeros(circuit):
             face = "white" if kind == "unstable" else style.GREY
-            axes.plot(zero / total, 0.0, "o", ms=3.2, mfc=face, mec=style.BLACK, mew=0.6, zorder=4)
+            axes.plot(zero / total, 0.0, "o", ms=3.2, mfc=face, mec=style.ink(), mew=0.6, zorder=4)
     if number2 is not None:
         axes.plot(number2 / total, 0.0, "o", ms=5.5, mfc="none", mec=style.VERMILION, zorder=5)
     axes.set(xlabel="$N_2/N$", ylabel="$\\eta$ (per unit time)")
@@ -195,11 +195,11 @@ def _draw(
     for model, values in zip(models, levels, strict=True):
         look = {"ls": model.dashes, "lw": 1.0}
         for name, level in values.items():
-            colour = FLOW_LOOK[name][1] if name in FLOW_LOOK else style.BLACK
+            colour = FLOW_LOOK[name][1] if name in FLOW_LOOK else style.ink()
             axes.axhline(level, color=colour, zorder=0.5, **look)
         flows_of = f"{model.label}: flows, coloured as their marks"
         axes.plot([], [], color=style.GREY, label=flows_of, **look)
-        axes.plot([], [], color=style.BLACK, label=f"{model.label}: {NETS}", **look)
+        axes.plot([], [], color=style.ink(), label=f"{model.label}: {NETS}", **look)
     axes.set(ylabel="flow (per unit time)", xlabel="time $t$  (length / $v$)")
     axes.set_xlim(0.0, max(end, axes.dataLim.x1))  # there may be another run
     return drawn

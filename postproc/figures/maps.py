@@ -58,8 +58,15 @@ LOOKS = {
 def equals(name: str, value: float) -> str:
     """Return "name = value" for a legend or title, with the symbol of a key."""
     if name not in SYMBOLS:
-        return f"{name} = {value:.4g}"
-    return f"${SYMBOLS[name].strip('$')} = {value:.4g}$"
+        return f"{name} = {brief(value)}"
+    mantissa, small, power = brief(value).partition("e")
+    shown = f"{mantissa} \\times 10^{{{int(power)}}}" if small else mantissa
+    return f"${SYMBOLS[name].strip('$')} = {shown}$"
+
+
+def brief(value: float, digits: int = 4) -> str:
+    """Return a whole number with all its digits, another one with some."""
+    return f"{value:.0f}" if float(value).is_integer() else f"{value:.{digits}g}"
 
 
 def axes_of(keys: Sequence[str]) -> Keys:

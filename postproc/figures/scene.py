@@ -102,14 +102,14 @@ def draw_table(axes: Axes, circuit: Circuit) -> None:
         axes.add_patch(Rectangle((left, -half1), reach, 2 * half1, fc=GATE_TINT, lw=0, zorder=0))
         axes.plot([way * reach] * 2, [-half1, half1], color=style.GREY, lw=0.7, ls=":", zorder=1)
     for wall in walls(circuit):
-        axes.plot(*wall.T, color=style.BLACK, lw=1.0, solid_joinstyle="miter", zorder=2)
+        axes.plot(*wall.T, color=style.ink(), lw=1.0, solid_joinstyle="miter", zorder=2)
     if circuit.shape == "circuit":
-        axes.plot([0, 0], [-half1, half1], color=style.BLACK, lw=0.8, ls="--", zorder=1)
+        axes.plot([0, 0], [-half1, half1], color=style.ink(), lw=0.8, ls="--", zorder=1)
         if circuit.channel2_width > 0.0:
             for way, side in ways(circuit):
                 high = max(0.5 * circuit.channel2_width, 0.06 * side.urn_radius)
                 end = way * side.end
-                axes.plot([end, end], [-high, high], color=style.BLACK, lw=0.8, ls="--")
+                axes.plot([end, end], [-high, high], color=style.ink(), lw=0.8, ls="--")
     draw_scatterers(axes, circuit)
     axes.set_aspect("equal")
     axes.set_axis_off()

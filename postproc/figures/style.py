@@ -78,6 +78,11 @@ def settings() -> AbstractContextManager[None]:
     return mpl.style.context(["default", SETTINGS])
 
 
+def ink() -> str:
+    """Return the colour of text: black in `settings`, else as the user's axes have it."""
+    return str(mpl.rcParams["text.color"])
+
+
 def figure(width: float = PAGE, height: float = 3.2) -> Figure:
     """Return an empty figure of that size in inches."""
     made = Figure(figsize=(width, height), layout="constrained")

@@ -16,6 +16,7 @@ from postproc.figures.circuits import mass_spread_of, polarised_current_of
 from postproc.figures.maps import (
     THRESHOLDS,
     axes_of,
+    brief,
     edges,
     has_lines,
     map_of,
@@ -93,7 +94,7 @@ def points_of(points: xr.Dataset, scan: Scan, models: dict[str, Model]) -> Colum
                for name, values in (scan.keys | scan.unequal).items()}  # fmt: skip
     columns["start"], found = rounded(points["start"].values), table(points, theory=list(models))
     for name, source in (("chi", "chi"), ("current", current_name(points))):
-        columns[name] = rounded(found[source])
+        columns[name] = rounded(found[source], 10)  # the error may be of the seventh
         columns[f"{name}_error"] = rounded(found[f"{source}_error"], 2)
         columns |= {f"{model}_{name}": rounded(found[f"{model}_{source}"]) for model in models
                     if f"{model}_{source}" in found}  # fmt: skip
@@ -120,7 +121,7 @@ def points_of(points: xr.Dataset, scan: Scan, models: dict[str, Model]) -> Colum
 
 def _summary(scan: Scan, columns: Columns, at: int, *, apart: bool) -> str:
     """Return the line about a point: its keys and measured values, or that replicas are apart."""
-    place = [f"{SYMBOLS.get(name, name)} = {columns[name][at]:.5g}"
+    place = [f"{SYMBOLS.get(name, name)} = {brief(columns[name][at], 5)}"
              for name in scan.keys | scan.unequal]  # fmt: skip
     known = ((name, columns[name][at], columns[f"{name}_error"][at]) for name in MEASURED)
     found = [f"{name} {with_error(*values, ' (error not known)')}"

@@ -221,6 +221,22 @@ def test_the_current_still_lacks_what_was_measured() -> None:
     assert 0.0 < old < 0.0015
 
 
+def test_transients_are_as_long_as_numbers_take_from_equal_ones() -> None:
+    """They decay in pi A/(2 w'), 4900 at w' = 0.001, if both gates reverse all.
+
+    At N = 500, T = 1 they grow: runs of 2800 to 8400 had chi = 0.833, later ones 0.990.
+    """
+    shut = Circuit(300, 0, channel2_width=0.001)
+    decay = math.pi * float(shut.urn_area) / (2.0 * 0.001)
+    assert transients.number_time(shut) == pytest.approx(3.0 * decay)
+    assert transients.of_chi(Circuit(500, 1, channel2_width=0.001), critical=False) > 6000.0
+    usual = transients.of_chi(Circuit(1000, 7), critical=False)
+    discs = Circuit(1000, 7, scatterers=((0.0, 0.0, 0.001),))
+    urn = Circuit(100, 7, channel2_width=0.0, shape="urn")
+    for one in (discs, urn, Circuit(1000, 0, channel2_width=0.0)):
+        assert transients.of_chi(one, critical=False) == usual
+
+
 def test_transients_do_not_depend_on_the_unit_of_length() -> None:
     found = []
     for unit in (1e-3, 1.0, 1e4):

@@ -17,6 +17,7 @@ import xarray as xr
 from bokeh.models import LinearColorMapper
 from matplotlib.axes import Axes
 from matplotlib.collections import PathCollection, QuadMesh
+from matplotlib.colors import to_rgb
 from matplotlib.container import ErrorbarContainer
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
@@ -545,6 +546,35 @@ def test_the_legend_of_a_scene_leaves_its_table_free(folder: Path) -> None:
     other = Figure().add_subplot()
     plot.scene(data, ax=other, legend=False)
     assert other.get_legend() is None
+
+
+def test_figures_are_seen_on_a_dark_page(folder: Path) -> None:
+    data = postproc.open_results(folder / "map.h5")
+    one = data.sel(channel2_width=0.01, threshold=2)
+    with mpl.style.context("dark_background"):
+        page = Figure()
+        eta, scene, flows, relaxation = page.subplots(4)
+        postproc.Circuit(number=1000, threshold=7).plot_eta(ax=eta)
+        plot.scene(one, ax=scene)
+        plot.flows(one, ax=flows, theory="window")
+        plot.relaxation(data.sel(channel2_width=0.01), ax=relaxation)
+        for axes in page.axes:
+            colours = [to_rgb(line.get_color()) for line in axes.lines]
+            assert len(colours) > 2
+            assert to_rgb(page.get_facecolor()) not in colours
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "shown"),
+    [
+        ("number", 16384.0, "$N = 16384$"),
+        ("threshold_fraction", 0.0123456, "$T/N = 0.01235$"),
+        ("channel2_width", 1.25e-5, "$w' = 1.25 \\times 10^{-5}$"),
+        ("seed", 10001.0, "seed = 10001"),
+    ],
+)
+def test_numbers_in_titles_are_those_of_the_run(name: str, value: float, shown: str) -> None:
+    assert maps.equals(name, value) == shown
 
 
 def test_eta_has_a_unit_and_its_help_no_label_of_a_manuscript() -> None:

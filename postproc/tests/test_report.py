@@ -119,6 +119,15 @@ def test_columns_say_what_the_file_says(run_file: Path) -> None:
     assert scan_of(results, 3) == {"threshold": 8, "channel2_width": 0.05, "replicas": 2}
 
 
+def test_chi_near_1_has_the_digits_of_its_error(tmp_path: Path) -> None:
+    path = results_of(tmp_path / "run.h5", scan={"replicas": 2}, output=BARE)
+    with edited(path) as file:
+        file["chi"][0] = 0.99996203, 0.99996429
+    results = points_of(path)
+    told = data.points_of(results, data.scanned(results), {})["told"]
+    assert told[0].startswith("chi 0.999963 ± 0.000001")
+
+
 def test_series_of_merged_runs_with_other_intervals_keep_their_times(tmp_path: Path) -> None:
     """Between two entries of a series chi is that of the one before, a flow of the interval."""
     for name, interval in (("fine", 3.0), ("coarse", 10.0)):

@@ -43,6 +43,8 @@ module battery_engine
     procedure, non_overridable :: start
     procedure, non_overridable :: advance
     procedure, non_overridable :: clock
+    procedure, non_overridable :: elapsed
+    procedure, non_overridable :: time_until
     procedure, non_overridable :: serialize_state
     !> Why the engine cannot simulate a table, in words for the user; an empty text: it can.
     procedure :: reason_unsupported
@@ -197,8 +199,25 @@ contains
     class(engine_type), intent(in) :: self
     real(wp) :: time
 
-    time = self%clock_start + (real(self%epochs, wp)*self%epoch + self%now)
+    time = self%clock_start + self%elapsed()
   end function clock
+
+  !> Time since the start.
+  pure function elapsed(self) result(time)
+    class(engine_type), intent(in) :: self
+    real(wp) :: time
+
+    time = real(self%epochs, wp)*self%epoch + self%now
+  end function elapsed
+
+  !> Time from now until `time` since the start, with the resolution of the clock of the epoch.
+  pure function time_until(self, time) result(left)
+    class(engine_type), intent(in) :: self
+    real(wp), intent(in) :: time
+    real(wp) :: left
+
+    left = (time - real(self%epochs, wp)*self%epoch) - self%now
+  end function time_until
 
   !> Why this engine cannot simulate a table; overridden by engines with further requirements.
   pure function reason_unsupported(self, table) result(reason)

@@ -214,7 +214,7 @@ contains
 
     text = ''
     do k = 1, size(value)
-      text = text//number_text(value(k), 13, 5)//number_text(error(k), 9, 5)
+      text = text//' '//number_text(value(k), 12, 5)//' '//number_text(error(k), 8, 5)
     end do
   end function pairs_text
 

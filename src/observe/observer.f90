@@ -15,6 +15,8 @@
 !> **Standard errors** come from the run itself (`battery_blocks`). They are NaN if the run is known
 !> to be too short:
 !> - for all averages, if it is shorter than ten times `relaxation_time` of the table;
+!> - for chi, near equal numbers, if there were fewer than five crossings a particle: N1 - N2, whose
+!>   square is about N there, relaxes in N/2 crossings;
 !> - for currents, in a polarised state in which the gate of the sparse urn hardly ever reverses:
 !>   particles that circulate along the axis carry part of the current until that gate reverses
 !>   them, so the run must have several such reversals;
@@ -42,6 +44,9 @@ module battery_observer
   real(wp), parameter :: least_relaxations = 10.0_wp
   integer(int64), parameter :: least_reversals = 4
   integer, parameter :: least_changes = 6
+  !> Least number of crossings for each particle, where N chi**2 is at most `equal_numbers`.
+  integer(int64), parameter :: least_crossings = 5
+  real(wp), parameter :: equal_numbers = 16.0_wp
   !> The state counts as polarised if one gate reverses this many times as often as the other.
   integer(int64), parameter :: unlike = 10
 
@@ -147,15 +152,22 @@ contains
       observer%series_left < 0.5_wp*observer%series_interval) call add_series_entry(observer)
   end subroutine end_series
 
-  !> Adds the event record of one window to the measurements.
-  pure subroutine observe_window(observer, event_record)
+  !> Adds the event record of one window to the measurements. An entry of the series at the time of
+  !> a crossing comes before it.
+  pure subroutine observe_window(observer, event_record, until_entry)
     type(observer_type), intent(inout) :: observer
     type(event_record_type), intent(in) :: event_record
+    !> Time from the start of the window until the next entry of the series, by the engine's clock;
+    !> if absent, from the previous windows, whose sum drifts.
+    real(wp), intent(in), optional :: until_entry
     real(wp) :: last
-    integer :: k, crossing, channel, way, down
+    integer :: k, crossing, channel, way, down, added
 
+    if (present(until_entry)) observer%series_left = until_entry
     last = 0.0_wp
+    added = 0
     do k = 1, event_record%crossings
+      call add_entries_until(observer, event_record%crossing_time(k), added)
       call integrate_interval(observer, event_record%crossing_time(k) - last)
       last = event_record%crossing_time(k)
       crossing = event_record%crossing(k)
@@ -171,6 +183,9 @@ contains
         if (channel == channel2) observer%block_downward = observer%block_downward + down
       end if
     end do
+    call add_entries_until(observer, event_record%duration, added)
+    observer%series_left = observer%series_left + (added*observer%series_interval &
+      - event_record%duration)
     call integrate_interval(observer, event_record%duration - last)
     observer%reversals = observer%reversals + event_record%reversals
     observer%bounce_backs = observer%bounce_backs + event_record%bounce_backs
@@ -182,8 +197,20 @@ contains
     end if
   end subroutine observe_window
 
-  !> Integrates over `duration`, in which there is no crossing; ends the blocks and adds the series
-  !> entries that fall into it.
+  !> Adds the entries of the series that are due until a time since the start of the window.
+  pure subroutine add_entries_until(observer, time, added)
+    type(observer_type), intent(inout) :: observer
+    real(wp), intent(in) :: time
+    !> Number of entries since the start of the window.
+    integer, intent(inout) :: added
+
+    do while (observer%series_left + added*observer%series_interval <= time)
+      call add_series_entry(observer)
+      added = added + 1
+    end do
+  end subroutine add_entries_until
+
+  !> Integrates over `duration`, in which there is no crossing; ends the blocks that end within it.
   pure subroutine integrate_interval(observer, duration)
     type(observer_type), intent(inout) :: observer
     real(wp), intent(in) :: duration
@@ -192,17 +219,13 @@ contains
     rest = duration
     difference = real(2*observer%urn1_number - observer%number, wp)
     do
-      step = min(rest, observer%block_left, observer%series_left)
+      step = min(rest, observer%block_left)
       if (observer%measuring) then
         observer%block_spread = observer%block_spread + abs(difference)*step
         observer%block_difference = observer%block_difference + difference*step
         observer%block_time = observer%block_time + step
         observer%block_left = observer%block_left - step
         if (observer%block_left <= 0.0_wp) call end_block(observer)
-      end if
-      if (observer%series_interval > 0.0_wp) then
-        observer%series_left = observer%series_left - step
-        if (observer%series_left <= 0.0_wp) call add_series_entry(observer)
       end if
       rest = rest - step
       if (rest <= 0.0_wp) exit
@@ -239,7 +262,6 @@ contains
     type(observer_type), intent(inout) :: observer
 
     if (observer%entries == size(observer%series_urn1_number)) call lengthen_series(observer)
-    observer%series_left = observer%series_interval
     if (observer%out_of_room) return
     observer%entries = observer%entries + 1
     observer%series_urn1_number(observer%entries) = observer%urn1_number
@@ -317,6 +339,7 @@ contains
     associate (o => observer)
       ! The time of whole blocks, since the error is of these; averages are over `measured_time`.
       is_reliable = o%time/least_relaxations >= o%relaxation
+      if (which == of_chi) is_reliable = is_reliable .and. number_relaxed(o)
       if (which /= of_chi .and. o%has_two_urns .and. o%channel2_open) &
         is_reliable = is_reliable .and. .not. may_circulate(o%reversals - o%transient_reversals)
       if ((which == of_current1 .or. which == of_current2) .and. o%has_two_urns) &
@@ -325,6 +348,16 @@ contains
       if (is_reliable) error = standard_error(o%blocks(which))
     end associate
   end function error_of
+
+  !> Whether N1 - N2 had the time to relax, or is not near 0.
+  pure logical function number_relaxed(observer)
+    type(observer_type), intent(in) :: observer
+
+    associate (o => observer)
+      number_relaxed = sum(o%crossings) >= least_crossings*o%number .or. (o%spread &
+        + o%block_spread)**2 > equal_numbers*real(o%number, wp)*measured_time(o)**2
+    end associate
+  end function number_relaxed
 
   !> Whether particles may have circulated throughout the run: one gate hardly ever reversed, the
   !> other often.

@@ -119,8 +119,8 @@ contains
 
     left = [huge(1.0_dp), kilobyte*number_after('/proc/meminfo', 'MemAvailable:')/sharing, &
       bytes_in_groups('/sys/fs/cgroup', '0::', 'memory.max', 'memory.current', &
-      'inactive_file ')/sharing, bytes_in_groups('/sys/fs/cgroup/memory', 'memory:', &
-      'memory.limit_in_bytes', 'memory.usage_in_bytes', 'total_inactive_file ')/sharing, &
+      '')/sharing, bytes_in_groups('/sys/fs/cgroup/memory', 'memory:', &
+      'memory.limit_in_bytes', 'memory.usage_in_bytes', 'total_')/sharing, &
       bytes_left(number_after('/proc/self/limits', 'Max address space'), &
       kilobyte*number_after('/proc/self/status', 'VmSize:')), &
       bytes_left(number_after('/proc/self/limits', 'Max data size'), &
@@ -130,14 +130,14 @@ contains
   end function available_memory
 
   !> Least number of bytes left in the control group of this process and the groups above it; within
-  !> a container only the beginning of the path may exist. Cached pages of files that are not in use
-  !> count as available.
-  real(dp) function bytes_in_groups(root, controller, limit, used, idle) result(bytes)
+  !> a container only the beginning of the path may exist. Cached pages of files count as available:
+  !> the system gives them back.
+  real(dp) function bytes_in_groups(root, controller, limit, used, total) result(bytes)
     !> Folder of all groups; what stands before the path in the list of the process' groups; names
-    !> of the limit, and of used bytes and bytes of idle pages.
-    character(len=*), intent(in) :: root, controller, limit, used, idle
+    !> of the limit and of used bytes; what stands before the names of cached bytes.
+    character(len=*), intent(in) :: root, controller, limit, used, total
     character(len=:), allocatable :: group
-    real(dp) :: most, spare
+    real(dp) :: most, cached
 
     bytes = huge(1.0_dp)
     group = text_after('/proc/self/cgroup', controller)
@@ -145,9 +145,10 @@ contains
     group = root//group
     do while (len(group) >= len(root))
       most = number_after(group//'/'//limit, '')
-      spare = number_after(group//'/memory.stat', idle)
+      cached = number_after(group//'/memory.stat', total//'inactive_file ') &
+        + number_after(group//'/memory.stat', total//'active_file ')
       bytes = min(bytes, bytes_left(most, number_after(group//'/'//used, '')) &
-        + merge(spare, 0.0_dp, spare < most))
+        + merge(cached, 0.0_dp, cached < most))
       group = group(:index(group, '/', back=.true.) - 1)
     end do
   end function bytes_in_groups

@@ -5,11 +5,11 @@
 !> particles on them. With L the length of a round, R the fraction of entries that this gate
 !> reverses, and tau = L/R, the current at an age s lacks about this part of its stationary value:
 !>
-!>     3 (w'/L) exp(-s/tau) log(1 + tau/s)                                            (1)
+!>     2.14 (w'/L) (L + l')/(L - l') exp(-s/tau) log(1 + tau/s)                       (1)
 !>
 !> The number of particles in the sparse urn follows from the balance of flows through both
 !> channels, with the load of the dense gate times 0.85 (the paper's theory has 1). R is that of a
-!> gate with exponentially distributed passage times, in closed form. The factors 3 and 0.85 are
+!> gate with exponentially distributed passage times, in closed form. The factors 2.14 and 0.85 are
 !> fitted to the theory of the currents and to runs of many ages; docs/validation.md links to
 !> the page with the deviations of (1) from both.
 !>
@@ -28,14 +28,14 @@ module battery_current_age
 
   !> Circulation at a parameter point.
   type :: circulation_type
-    !> The factor 3 w'/L of (1); 0: the current is negligible, or (1) does not apply.
+    !> The factor before the exponential of (1); 0: the current is negligible, or (1) is not used.
     real(dp) :: growth = 0.0_dp
     !> The time tau after which a circulating particle is reversed.
     real(dp) :: lifetime = 1.0_dp
   end type circulation_type
 
   !> Fitted numbers: the factor of (1), and the factor of the dense gate's load.
-  real(dp), parameter :: steepness = 3.0_dp, dense_load = 0.85_dp
+  real(dp), parameter :: steepness = 2.14_dp, dense_load = 0.85_dp
 
   !> Relative deficit that is allowed: a quarter of a tolerance of 1 %, as in postproc.advise.
   real(dp), parameter :: allowed = 0.0025_dp
@@ -130,7 +130,8 @@ contains
     integer, parameter :: most_steps = 10000
     !> No u_n is above this, so that their sum is finite.
     real(dp), parameter :: enough = 1.0e100_dp
-    real(dp) :: width(2), radius(2), load, widths, sparse, before, round_length, u, total
+    real(dp) :: width(2), radius(2), load, widths, sparse, before, round_length, back, &
+      u, total
     integer :: step
 
     width = real(point%channel%width, dp)
@@ -155,7 +156,9 @@ contains
       end do
       if (sparse > 0.5_dp*(1.0_dp - polarised)*number) return
       round_length = sum(sqrt(4.0_dp*radius**2 - width**2) + real(point%channel%length, dp))
-      found%growth = steepness*width(channel2)/round_length
+      back = real(point%channel(channel2)%length, dp)
+      found%growth = steepness*width(channel2)/round_length*(round_length + back) &
+        /(round_length - back)
       ! A gate with exponentially distributed passage times reverses of its entries the fraction
       ! (T + 1) over the sum of u_n, u_0 = 1, u_n = 1 + n u_(n-1)/load.
       u = 1.0_dp

@@ -29,7 +29,7 @@ module battery_simulation
     class(engine_type), allocatable :: engine
     type(observer_type) :: observer
     type(event_record_type) :: event_record
-    !> Time since the start.
+    !> Time since the start, from the clock of the engine: a sum of windows would drift.
     real(wp) :: elapsed = 0.0_wp
     !> Time and collisions of the transient, once it is over.
     real(wp) :: transient_time = 0.0_wp
@@ -52,8 +52,8 @@ module battery_simulation
     integer(int64) :: unchecked_length = 1000000
   end type simulation_type
 
-  !> Relative rounding error of a sum of times.
-  real(wp), parameter :: rounding = 64.0_wp*epsilon(1.0_wp)
+  !> Relative rounding error of the engine's clock at the end of a window of a given duration.
+  real(wp), parameter :: rounding = 4.0_wp*epsilon(1.0_wp)
 
   !> Largest number of series entries in one window: signals are noticed between windows.
   integer, parameter :: most_entries = 2**20
@@ -152,14 +152,16 @@ contains
   !> Advances a simulation by one window.
   subroutine advance_simulation(simulation)
     type(simulation_type), intent(inout) :: simulation
+    real(wp) :: until_entry
 
+    until_entry = time_until_entry(simulation)
     call simulation%engine%advance(time_to_stop(simulation), simulation%event_record)
-    call observe_window(simulation%observer, simulation%event_record)
+    call observe_window(simulation%observer, simulation%event_record, until_entry)
     if (simulation%event_record%events > 0) &
       call append_events(simulation%events, simulation%event_record, simulation%elapsed, &
       simulation%out_of_room)
     call stop_if_out_of_memory(simulation)
-    simulation%elapsed = simulation%elapsed + simulation%event_record%duration
+    simulation%elapsed = simulation%engine%elapsed()
     if (simulation%setup%duration > 0.0_wp) then
       call process_stops(simulation)
     else
@@ -175,13 +177,26 @@ contains
     time = huge(1.0_wp)
     if (simulation%setup%series_interval > 0.0_wp) &
       time = most_entries*simulation%setup%series_interval
-    time = min(time, next_snapshot_time(simulation) - simulation%elapsed)
-    if (simulation%setup%duration > 0.0_wp) then
-      time = min(time, simulation%setup%duration - simulation%elapsed)
-      if (.not. simulation%observer%measuring) &
-        time = min(time, simulation%setup%transient_duration - simulation%elapsed)
-    end if
+    associate (engine => simulation%engine, setup => simulation%setup)
+      time = min(time, engine%time_until(next_snapshot_time(simulation)))
+      if (setup%duration > 0.0_wp) then
+        time = min(time, engine%time_until(setup%duration))
+        if (.not. simulation%observer%measuring) &
+          time = min(time, engine%time_until(setup%transient_duration))
+      end if
+    end associate
   end function time_to_stop
+
+  !> Time until the next entry of the series; huge: there is none.
+  pure real(wp) function time_until_entry(simulation) result(time)
+    type(simulation_type), intent(in) :: simulation
+
+    time = huge(1.0_wp)
+    associate (observer => simulation%observer)
+      if (observer%series_interval > 0.0_wp) time = simulation%engine%time_until( &
+        real(observer%entries, wp)*observer%series_interval)
+    end associate
+  end function time_until_entry
 
   !> Time of the next snapshot since the start; huge: there is none.
   pure real(wp) function next_snapshot_time(simulation) result(time)
@@ -193,12 +208,12 @@ contains
     end associate
   end function next_snapshot_time
 
-  !> Whether the time `time` since the start has been reached, up to the rounding of the sum.
+  !> Whether the time `time` since the start has been reached, up to the rounding of the clock.
   pure logical function has_reached(simulation, time)
     type(simulation_type), intent(in) :: simulation
     real(wp), intent(in) :: time
 
-    has_reached = simulation%elapsed >= time - rounding*time
+    has_reached = simulation%engine%time_until(time) <= rounding*simulation%engine%now
   end function has_reached
 
   !> Stores the snapshots that are due.

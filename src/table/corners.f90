@@ -7,7 +7,7 @@ module battery_corners
   use battery_kinds, only: wp, pi
   implicit none (type, external)
   private
-  public :: most_corners, regular_corners, enclosed_area, is_rational_polygon, reversed_corners, &
+  public :: most_corners, regular_corners, enclosed_area, spreading_time, reversed_corners, &
     next_corner, distance_to_side, is_on_side, sides_meet, side_distance, side_on_axis
 
   !> Largest number of corners of a polygon.
@@ -56,30 +56,38 @@ contains
     end do
   end function enclosed_area
 
-  !> Whether a polygon is rational, so that a particle in it has finitely many directions: the
-  !> angles of all sides are, within the rounding of typed digits, whole multiples of pi/n.
-  pure logical function is_rational_polygon(corner)
+  !> Time in which the directions of a particle spread evenly within a polygon. Huge if the polygon
+  !> is rational: all its sides are, within the rounding of typed digits, at multiples of pi/n, so
+  !> that a particle has only 2n directions. If sides deviate by small angles e from multiples of
+  !> pi/n, a hit turns a direction by 2e, in either sense: directions spread over the gaps of pi/n
+  !> in (pi/n)**2/<4 e**2> hits. Beyond n = 12 the gaps are so narrow that they hardly matter.
+  pure function spreading_time(corner) result(time)
     !> Corners, (x, y) in columns.
     real(wp), intent(in) :: corner(:, :)
-    !> Largest n that is tried, and tolerance for the angle of a side.
-    integer, parameter :: most_parts = 120
+    real(wp) :: time
+    !> Largest n of a rational polygon, and of gaps that matter; tolerance for the angle of a side.
+    integer, parameter :: most_parts = 120, most_gaps = 12
     real(wp), parameter :: tolerance = 1.0e-6_wp
-    real(wp) :: angle(size(corner, 2)), parts
-    integer :: k
+    real(wp), dimension(size(corner, 2)) :: angle, length, deviation
+    real(wp) :: side(2), gap, hits
+    integer :: k, n
 
-    associate (n => size(corner, 2))
-      do k = 1, n
-        angle(k) = atan2(corner(2, next_corner(k, n)) - corner(2, k), &
-          corner(1, next_corner(k, n)) - corner(1, k))
-      end do
-    end associate
-    is_rational_polygon = .true.
-    do k = 1, most_parts
-      parts = real(k, wp)/pi
-      if (all(abs(angle*parts - anint(angle*parts)) < tolerance*parts)) return
+    do k = 1, size(corner, 2)
+      side = corner(:, next_corner(k, size(corner, 2))) - corner(:, k)
+      angle(k) = atan2(side(2), side(1))
+      length(k) = hypot(side(1), side(2))
     end do
-    is_rational_polygon = .false.
-  end function is_rational_polygon
+    hits = 0.0_wp
+    do n = 1, most_parts
+      gap = pi/real(n, wp)
+      deviation = angle - anint(angle/gap)*gap
+      time = huge(1.0_wp)
+      if (all(abs(deviation) < tolerance)) return
+      if (n <= most_gaps) hits = max(hits, gap**2*sum(length)/sum(length*(2.0_wp*deviation)**2))
+    end do
+    ! The mean path between hits is pi times the area over the perimeter.
+    time = hits*pi*abs(enclosed_area(corner))/sum(length)
+  end function spreading_time
 
   !> The same polygon with its corners in the opposite order; the first one stays the first.
   pure function reversed_corners(corner) result(reversed)

@@ -16,7 +16,7 @@ module battery_table
   use battery_channel, only: channel_type, is_open, fold_into_channel, channel1, channel2, &
     no_channel, facing
   use battery_urn_shape, only: mean_urn_passage
-  use battery_corners, only: is_rational_polygon
+  use battery_corners, only: spreading_time
   use battery_motion, only: outside, in_urn, in_gate, in_channel2, least_across
   use battery_scatterers, only: scattered_half_channel_type, new_scattered_half_channel, &
     is_in_scatterer, measure_scatterers
@@ -201,31 +201,25 @@ contains
   !> Bound of the time in which the directions of motion relax in the larger urn: 25 r^4/w^3, with r
   !> the radius of a disc of the urn's area. In discs they relax in 19 r^4/w^3 (docs/theory.md): the
   !> 25 takes each passage as long as the mean one, but oblique particles are faster. It is kept,
-  !> since no error should be given too early. Huge if channel 1 is closed, or if particles have
-  !> only finitely many directions. Errors of a run shorter than ten times this are not estimated.
+  !> since no error should be given too early. If both urns are polygons, it is at least the time in
+  !> which directions spread in one of them; discs in channel 2 meet too few particles to help. Huge
+  !> if channel 1 is closed, or if directions never spread. Errors of a run shorter than ten times
+  !> this are not estimated.
   pure function relaxation_time(table) result(time)
     type(table_type), intent(in) :: table
-    real(wp) :: time, radius
-
-    time = huge(1.0_wp)
-    if (.not. is_open(table%channel(channel1)) .or. has_finite_directions(table)) return
-    radius = sqrt(maxval(table%urn(:table%urn_count)%area)/pi)
-    time = 25.0_wp*radius*(radius/table%channel(channel1)%width)**3
-  end function relaxation_time
-
-  !> Whether all urns are polygons in which a particle has only finitely many directions (the same
-  !> ones in both, since both have an upright side), and channel 2 has no discs.
-  pure logical function has_finite_directions(table)
-    type(table_type), intent(in) :: table
+    real(wp) :: time, radius, within
     integer :: urn
 
-    has_finite_directions = .not. table%has_scatterers
+    time = huge(1.0_wp)
+    if (.not. is_open(table%channel(channel1))) return
+    radius = sqrt(maxval(table%urn(:table%urn_count)%area)/pi)
+    within = time
     do urn = 1, table%urn_count
-      if (.not. has_finite_directions) return
-      has_finite_directions = table%urn(urn)%shape == shape_polygon
-      if (has_finite_directions) has_finite_directions = is_rational_polygon(table%urn(urn)%corner)
+      if (table%urn(urn)%shape /= shape_polygon) within = 0.0_wp
+      if (within > 0.0_wp) within = min(within, spreading_time(table%urn(urn)%corner))
     end do
-  end function has_finite_directions
+    time = max(25.0_wp*radius*(radius/table%channel(channel1)%width)**3, within)
+  end function relaxation_time
 
   !> Urn to whose half of the table a point belongs; the middle line belongs to urn 2, if there is
   !> one.

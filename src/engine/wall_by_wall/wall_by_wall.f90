@@ -32,8 +32,8 @@ module battery_wall_by_wall
 
   !> State that these engines have in common.
   type, abstract, extends(engine_type) :: wall_by_wall_type
-    !> N1 - N2.
-    integer :: difference = 0
+    !> N1 - N2 now, and before the present instant, whose events have no order.
+    integer :: difference = 0, difference_before = 0
     !> Wall collisions since the start.
     integer(int64) :: hits = 0
     !> Start of the window; time since then, at the present instant or at its end.
@@ -153,6 +153,7 @@ contains
         + time_to_middle(motion), i)
       call self%store_motion(i, motion, wait)
     end do
+    self%difference_before = self%difference
     deallocate (particles%x, particles%y, particles%ux, particles%uy)
   end subroutine load_motions
 
@@ -216,7 +217,7 @@ contains
     end if
   end subroutine record_line_crossing
 
-  !> Counts `hits` wall collisions, and the mass spread right after each.
+  !> Counts `hits` wall collisions, and for each the mass spread before the events of its instant.
   subroutine count_hits(self, event_record, hits)
     class(wall_by_wall_type), intent(inout) :: self
     type(event_record_type), intent(inout) :: event_record
@@ -224,7 +225,7 @@ contains
 
     self%hits = self%hits + hits
     event_record%collision_spread_sum = event_record%collision_spread_sum &
-      + hits*abs(self%difference)
+      + hits*abs(self%difference_before)
     event_record%collisions_seen = event_record%collisions_seen + hits
   end subroutine count_hits
 
@@ -235,6 +236,7 @@ contains
     integer, intent(in) :: first
     type(event_record_type), intent(inout) :: event_record
 
+    self%difference_before = self%difference
     if (has_undecided_entries(self%gate)) call decide_reversals(self, event_record)
     if (event_record%events > first) call sort_simultaneous_events(event_record, first, &
       event_record%events)
@@ -308,6 +310,7 @@ contains
     type(archive_type), intent(inout) :: archive
 
     call archive%serialize('difference', self%difference)
+    self%difference_before = self%difference
     call archive%serialize('hits', self%hits)
   end subroutine serialize_counts
 
