@@ -98,6 +98,8 @@ build: libraries $(fpm) information ## builds build/bin/battery and installs the
 	@export FPM_FFLAGS="$(RELEASE_FLAGS)" FPM_LDFLAGS="$(RELEASE_LINK)"
 	echo "Building $(PROGRAM) (log: $(BUILT)/log)"
 	mkdir -p $(BUILT)
+	# What a link that was interrupted has left fpm would take for the program.
+	find build -maxdepth 3 -path '*/app/battery' ! -perm -u+x -delete
 	flock build/.lock $(fpm) install --prefix $(BUILT) > $(BUILT)/log 2>&1 || { cat $(BUILT)/log >&2; exit 1; }
 	[[ "$(POSTPROC)" == 0 ]] || $(MAKE) $(COMMANDS) || {
 	  echo "The program is complete: $(PROGRAM). Its Python side needs packages that pip could not get;"
@@ -259,7 +261,7 @@ build/choices$(SUFFIX): FORCE
 $(abspath build/venv/bin/fpm): | build/stamps/packages$(SUFFIX)
 	@wanted=$$(grep '^fpm==' postproc/requirements.txt)
 	echo "Installing $$wanted in $(VENV)"
-	[[ -x $(PYTHON) ]] || python3 -m venv $(VENV)
+	[[ -x $(VENV)/bin/pip ]] || python3 -m venv $(VENV)
 	$(PYTHON) -m pip install --quiet --disable-pip-version-check "$$wanted" || {
 	  echo "fpm is missing. make build FPM=PATH takes one; how to get it without a network:" \
 	    "docs/install.md" >&2
@@ -268,7 +270,7 @@ $(abspath build/venv/bin/fpm): | build/stamps/packages$(SUFFIX)
 
 build/stamps/python: postproc/requirements.txt | build/stamps/packages$(SUFFIX)
 	@echo "Installing the Python packages of postproc/requirements.txt in $(VENV)"
-	[[ -x $(PYTHON) ]] || python3 -m venv $(VENV)
+	[[ -x $(VENV)/bin/pip ]] || python3 -m venv $(VENV)
 	$(PYTHON) -m pip install --quiet --disable-pip-version-check -r postproc/requirements.txt
 	touch $@
 

@@ -436,7 +436,7 @@ def _exit_codes_known() -> Iterator[None]:
 
 def _errors_file() -> IO[str]:
     """Return a file for standard error: on Linux in memory, since the disk may be full."""
-    if hasattr(os, "memfd_create"):
+    with suppress(AttributeError, OSError):  # not everywhere, or forbidden
         return os.fdopen(os.memfd_create("errors"), "w+", encoding="utf-8", errors="replace")
     return tempfile.TemporaryFile("w+", encoding="utf-8", errors="replace")
 

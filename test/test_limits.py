@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import resource
+import shutil
 import signal
 import subprocess
 import sys
@@ -307,6 +308,7 @@ def test_wall_minutes_count_from_the_start(tmp_path: Path) -> None:
 
 GROUP = """
 mount -t tmpfs none /sys/fs/cgroup || exit 77
+touch "$1/mounted"
 mkdir /sys/fs/cgroup/memory
 for folder in /sys/fs/cgroup /sys/fs/cgroup/memory; do
 cd $folder
@@ -324,11 +326,13 @@ def test_cached_files_of_a_control_group_are_free_memory(
     tmp_path: Path, active: str, code: int
 ) -> None:
     write(tmp_path)
+    if shutil.which("unshare") is None:
+        pytest.skip("there is no unshare")
     words = ["unshare", "-rm", "sh", "-c", GROUP.format(program=PROGRAM), "sh", str(tmp_path)]
     done = subprocess.run(
         [*words, active], env=ALONE, capture_output=True, text=True, timeout=PATIENCE, check=False
     )
-    if done.returncode == 77:
+    if not (tmp_path / "mounted").exists():
         pytest.skip("this system does not let us mount a small file system")
     assert done.returncode == code, done.stderr
     assert ("control group" in done.stderr) == (code == 2)

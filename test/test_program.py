@@ -527,11 +527,12 @@ def test_run_too_short_for_an_error_has_none_and_says_so(tmp_path: Path) -> None
 
 
 def test_it_says_that_directions_never_relax_where_no_length_of_a_run_helps(tmp_path: Path) -> None:
-    """In a rectangle they do not, as in regular polygons; discs in channel 2 make them relax."""
+    """In a rectangle they do not, as in regular polygons, also with discs in channel 2."""
     rectangle = {"urn_shape": "'polygon'", "urn_vertices": "1, -1.3, 1, 1.3, -1, 1.3, -1, -1.3"}
     hexagon = {"urn_shape": "'polygon'", "urn_sides": "6"}
     discs = {"channel2_width": "0.3", "scatterers": "0.2, 0.05, 0.03"}
-    for table, never in ((rectangle, True), (hexagon, True), (hexagon | discs, False)):
+    crooked = rectangle | {"urn_vertices": "1, -1.3, 1, 1.1, 0.2, 1.5, -1, 1, -1, -0.9"}
+    for table, never in ((rectangle, True), (hexagon | discs, True), (crooked, False)):
         write(tmp_path, table=table, run={"duration": "170"}, output={"file": "'out.h5'"})
         printed = run("--overwrite", "case.nml", folder=tmp_path).stdout
         assert "-: no error of its own" in printed

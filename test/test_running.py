@@ -12,6 +12,8 @@ import sys
 import tempfile
 import threading
 import time
+from contextlib import suppress
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -25,7 +27,6 @@ from postproc.running import STOPPED, RunError
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
-    from pathlib import Path
 
 CASE = {
     "particles": {"number": 100},
@@ -425,16 +426,41 @@ def test_a_run_that_stops_early_says_so(tmp_path: Path) -> None:
     assert postproc.open_results(tmp_path / "it's.h5").attrs["status"] == "partial"
 
 
+def test_a_refusal_is_told_where_files_in_memory_are_forbidden(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def forbidden(_: str) -> int:
+        raise PermissionError(errno.EPERM, "Operation not permitted")
+
+    monkeypatch.setattr(os, "memfd_create", forbidden, raising=False)
+    with pytest.raises(InputError, match="number = -5"):
+        postproc.run(changed(particles={"number": -5}), folder=tmp_path, quiet=True)
+
+
+@pytest.mark.skipif(not hasattr(os, "memfd_create"), reason="has no files in memory")
+def test_a_refusal_is_told_where_temporary_files_cannot_be_written(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(*_: object, **__: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(tempfile, "TemporaryFile", full)
+    with pytest.raises(InputError, match="number = -5"):
+        postproc.run(changed(particles={"number": -5}), folder=tmp_path, quiet=True)
+
+
 @pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
 def test_a_run_that_is_killed_has_no_reason_that_it_has_printed_before(tmp_path: Path) -> None:
     groups = changed(run={"duration": 1e9}, gate={"threshold": 200}, output={"file": "out.h5"})
 
     def kill() -> None:
-        while not (tmp_path / "out.h5.tasks/plan").exists():
+        end = time.monotonic() + PATIENCE
+        while time.monotonic() < end and not (tmp_path / "out.h5.tasks/plan").exists():
             time.sleep(0.01)
-        owner = (tmp_path / "out.h5.owner").read_text(encoding="utf-8")
-        number = next(int(word) for word in owner.split() if word.isdigit())
-        os.kill(number, signal.SIGKILL)
+        for process in Path("/proc").glob("[0-9]*"):
+            with suppress(OSError):
+                if (process / "exe").samefile(PROGRAM) and (process / "cwd").samefile(tmp_path):
+                    os.kill(int(process.name), signal.SIGKILL)
 
     killer = threading.Thread(target=kill)
     killer.start()

@@ -1,8 +1,8 @@
 """Transients of runs, for chi and for currents.
 
-chi relaxes with the directions of particles, in 25 r^4/w^3, and next to a transition more slowly;
-near equal numbers with those, which takes long where both gates reverse all and w' is small, and
-takes as long to grow to a state that is polarised.
+chi relaxes with the directions of particles, in 25 r^4/w^3, and next to a transition more slowly.
+Near equal numbers it relaxes with the numbers, slowly where both gates reverse all and w' is small;
+from equal numbers it takes as long to reach a polarised state.
 The current of channel 2 still grows long after that: orbits of m rounds are filled only after the
 time of m rounds, each decade of m carries about as much as the one before, and this ends where the
 gate of the sparse urn reverses a circulating particle, after 1/(1 - q) rounds. The part that is
@@ -34,10 +34,11 @@ if TYPE_CHECKING:
 
 RELAXATIONS = 3.0  # relaxation times of directions, and of numbers, in a transient
 PLACES = 2001  # of N2, from equal numbers on
+GROWN = 0.9  # of the way to a state, where the rest is small
 # Times in radii, at speed 1:
 SHORTEST = 1000.0  # transient
 CRITICAL = 9000.0  # transient next to a transition: a margin (experiment 5 found 500 enough)
-LONGEST = 1e6  # longest transient for a current; the part still missing then is returned
+LONGEST = 1e6  # longest transient for a current, whose missing part is returned, and for numbers
 AGES = np.geomspace(10.0, 1e12, 661)  # 60 a decade; the transient of chi may be above `LONGEST`
 
 
@@ -69,8 +70,9 @@ def memory_time(circuit: Circuit) -> float:
 def number_time(circuit: Circuit) -> float:
     """Return the time after which a run from equal numbers has left them, or fluctuates about them.
 
-    A difference grows from N**0.5 with dN2/dt = eta, but at a time that scatters by some of the
-    times in which it grows near equal numbers, or decays there. At most `LONGEST`.
+    A difference grows from N**0.5 with dN2/dt = eta, here for `GROWN` of the way to the state. When
+    it does scatters by some of the times in which it grows near equal numbers, or decays there:
+    at most that of channel 2 alone, though next to a transition it diverges. At most `LONGEST`.
     """
     if circuit.shape == "urn":
         return 0.0
@@ -79,12 +81,15 @@ def number_time(circuit: Circuit) -> float:
     for way, side in zip((-1.0, 1.0), mixed.sides, strict=True):
         first, last = 0.5 * (number + way * math.sqrt(number)), 0.5 * number * (1.0 + way)
         place = np.linspace(first, last, PLACES)
-        rate = way * eta(mixed, place)
-        growing = int(np.argmin(np.append(rate, 0.0) > 0.0))
-        growth = abs(float(integrate.trapezoid(1.0 / rate[:growing], place[:growing])))
+        growing = int(np.argmin(np.append(way * eta(mixed, place), 0.0) > 0.0))
+        grown = 0.0
+        if growing > 0:
+            end = place[min(growing, PLACES - 1)]
+            place = np.linspace(first, first + GROWN * (end - first), PLACES)
+            grown = abs(float(integrate.trapezoid(1.0 / eta(mixed, place), place)))
         if near := max(width, abs(float(stability(side, width)))):
             near = 0.5 * math.pi * float(side.urn_area) / near
-        times.append(growth + RELAXATIONS * near)
+        times.append(grown + RELAXATIONS * near)
     return min(max(times), LONGEST * largest_radius(circuit))
 
 

@@ -94,7 +94,7 @@ def figure_urn_current(points: xr.Dataset, models: Sequence[Model] = ()) -> Figu
     made, panels = _panels(points)
     for group in _groups(points):
         (mark, colour), axes, number = _look(group.column), panels[group.row], group.urn.number
-        label = f"$w = {group.urn.channel1_width:g}$" if group.row == 0 else None
+        label = f"$w = {style.in_math(group.urn.channel1_width, 6)}$" if group.row == 0 else None
         axes.errorbar(group.threshold / number, group.current, group.error, fmt=mark, color=colour,
                       mfc="none", ms=3.6, label=label)  # fmt: skip
         for model in models:
@@ -143,7 +143,7 @@ def figure_urn_difference(points: xr.Dataset, models: Sequence[Model] = ()) -> F
                 beyond += [(panels[0, row], x, y, colour) for x, y
                            in zip(fraction[low], difference[low], strict=True)]  # fmt: skip
         if row == 0:
-            label = f"$w = {group.urn.channel1_width:g}$"
+            label = f"$w = {style.in_math(group.urn.channel1_width, 6)}$"
             panels[0, 0].plot([], [], mark, color=colour, ms=4.4, label=label)
     for model, fill in zip(models, FILLS, strict=False):
         look = {"color": style.GREY, "lw": 0.7, "ms": 4.4, "marker": "s", "ls": model.dashes}
@@ -191,7 +191,7 @@ def figure_urn_scaled(points: xr.Dataset, models: Sequence[Model] = ()) -> Figur
         axes.errorbar(
             group.threshold / number, group.current / number, group.error / number, fmt=mark,
             color=colour, mfc=colour if group.row == found[-1].row else "white", ms=3.6,
-            label=f"$w = {group.urn.channel1_width:g}$, $N = {number:.0f}$",
+            label=f"$w = {style.in_math(group.urn.channel1_width, 6)}$, $N = {number:.0f}$",
         )  # fmt: skip
         for at, model in enumerate(models):
             current = group.theory(model, group.thresholds)

@@ -85,7 +85,7 @@ def draw_eta(
         look = {"color": style.ink(), "ls": model.dashes, "lw": 1.0}
         lines += axes.plot(second / total, model.eta(circuit, second), label=model.label, **look)
         for zero, kind in model.zeros(circuit):
-            face = "white" if kind == "unstable" else style.GREY
+            face = axes.get_facecolor() if kind == "unstable" else style.GREY
             axes.plot(zero / total, 0.0, "o", ms=3.2, mfc=face, mec=style.ink(), mew=0.6, zorder=4)
     if number2 is not None:
         axes.plot(number2 / total, 0.0, "o", ms=5.5, mfc="none", mec=style.VERMILION, zorder=5)

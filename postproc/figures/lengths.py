@@ -104,7 +104,7 @@ def _figure(circuit: Circuit, points: xr.Dataset | None) -> Figure:
         step = -(-full.x.size // SHOWN)
         parts = [part[::step] for part in (full.x, full.y, full.ux, full.uy)]
         snapshot = Snapshot(full.time, *parts)
-        said = f"{parts[0].size} of {full.x.size} particles, $t = {full.time:g}$"
+        said = f"{parts[0].size} of {full.x.size} particles, $t = {style.in_math(full.time, 6)}$"
     return picture_of(circuit, snapshot, said)
 
 

@@ -58,15 +58,8 @@ LOOKS = {
 def equals(name: str, value: float) -> str:
     """Return "name = value" for a legend or title, with the symbol of a key."""
     if name not in SYMBOLS:
-        return f"{name} = {brief(value)}"
-    mantissa, small, power = brief(value).partition("e")
-    shown = f"{mantissa} \\times 10^{{{int(power)}}}" if small else mantissa
-    return f"${SYMBOLS[name].strip('$')} = {shown}$"
-
-
-def brief(value: float, digits: int = 4) -> str:
-    """Return a whole number with all its digits, another one with some."""
-    return f"{value:.0f}" if float(value).is_integer() else f"{value:.{digits}g}"
+        return f"{name} = {style.brief(value)}"
+    return f"${SYMBOLS[name].strip('$')} = {style.in_math(value)}$"
 
 
 def axes_of(keys: Sequence[str]) -> Keys:

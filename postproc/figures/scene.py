@@ -125,7 +125,7 @@ def draw_scatterers(axes: Axes, circuit: Circuit) -> None:
         channel = Rectangle(corner, length, 2.0 * half, transform=axes.transData)
         for z, y, radius in circuit.scatterers:
             if radius - way * z > 0.0:
-                disc = Circle((line + z, y), radius, fc=style.GREY, ec=style.BLACK, lw=0.6)
+                disc = Circle((line + z, y), radius, fc=style.GREY, ec=style.ink(), lw=0.6)
                 axes.add_patch(disc).set_clip_path(channel)
                 disc.set_in_layout(False)  # the layout would ignore its clip path
 
@@ -157,7 +157,7 @@ def draw_particles(
     return [
         axes.scatter(
             snapshot.x[which], snapshot.y[which], s=counted_size if counted else size, c=colour,
-            label=label, ec=style.BLACK if counted else "none", lw=0.4, zorder=3 + counted,
+            label=label, ec=style.ink() if counted else "none", lw=0.4, zorder=3 + counted,
         )
         for which, colour, label, counted in _kinds(circuit, snapshot)
     ]  # fmt: skip
@@ -204,7 +204,7 @@ def picture_of(circuit: Circuit, snapshot: Snapshot) -> Figure:
     in_first = int(np.count_nonzero(snapshot.x < 0.0))
     total = snapshot.x.size
     spread = abs(total - 2 * in_first) / total
-    title = f"$t = {snapshot.time:g}$    $N = {total}$"
+    title = f"$t = {style.in_math(snapshot.time, 6)}$    $N = {total}$"
     if circuit.shape == "circuit":
         title += f"    $N_1 = {in_first}$    $N_2 = {total - in_first}$    $\\chi = {spread:.3f}$"
     whole.set_title(title, loc="center")

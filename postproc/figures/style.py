@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 import matplotlib as mpl
 import matplotlib.style
 from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 from matplotlib.patheffects import Normal, Stroke
 from matplotlib.ticker import MaxNLocator
@@ -80,7 +81,19 @@ def settings() -> AbstractContextManager[None]:
 
 def ink() -> str:
     """Return the colour of text: black in `settings`, else as the user's axes have it."""
-    return str(mpl.rcParams["text.color"])
+    return to_hex(mpl.rcParams["text.color"], keep_alpha=True)
+
+
+def brief(value: float, digits: int = 4) -> str:
+    """Return a whole number with all its digits, another one with some."""
+    whole = float(value).is_integer() and abs(value) < 1e15
+    return f"{value + 0.0:.0f}" if whole else f"{value:.{digits}g}"  # no -0
+
+
+def in_math(value: float, digits: int = 4) -> str:
+    """Return `brief` for a formula, in which e would be a letter."""
+    mantissa, exponential, power = brief(value, digits).partition("e")
+    return f"{mantissa} \\times 10^{{{int(power)}}}" if exponential else mantissa
 
 
 def figure(width: float = PAGE, height: float = 3.2) -> Figure:

@@ -12,11 +12,11 @@ import contourpy
 import numpy as np
 
 from postproc.cli import InputError
+from postproc.figures import style
 from postproc.figures.circuits import mass_spread_of, polarised_current_of
 from postproc.figures.maps import (
     THRESHOLDS,
     axes_of,
-    brief,
     edges,
     has_lines,
     map_of,
@@ -121,7 +121,7 @@ def points_of(points: xr.Dataset, scan: Scan, models: dict[str, Model]) -> Colum
 
 def _summary(scan: Scan, columns: Columns, at: int, *, apart: bool) -> str:
     """Return the line about a point: its keys and measured values, or that replicas are apart."""
-    place = [f"{SYMBOLS.get(name, name)} = {brief(columns[name][at], 5)}"
+    place = [f"{SYMBOLS.get(name, name)} = {style.brief(columns[name][at], 5)}"
              for name in scan.keys | scan.unequal]  # fmt: skip
     known = ((name, columns[name][at], columns[f"{name}_error"][at]) for name in MEASURED)
     found = [f"{name} {with_error(*values, ' (error not known)')}"
@@ -197,7 +197,7 @@ def with_error(value: float, error: float, unknown: str = "") -> str:
     if not math.isfinite(value):
         return "-"
     if not math.isfinite(error):
-        return f"{value:.4g}{unknown}"
+        return f"{value:.6g}{unknown}"
     if error <= 0.0:
         return f"{value + 0.0:.10g} ± 0"  # no -0
     places = max(-math.floor(math.log10(error)), 0)

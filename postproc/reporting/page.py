@@ -457,7 +457,7 @@ def _about(points: xr.Dataset) -> str:
     columns = {name: points[name].values for name in names}
     if points.attrs.get("shape") != "urn":
         columns["chi at the start"] = points["start"].values
-    told = [f"{data.SYMBOLS.get(name, name)} = {values[0]:.5g}"
+    told = [f"{data.SYMBOLS.get(name, name)} = {style.brief(values[0], 5)}"
             for name, values in columns.items() if np.unique(values).size == 1]  # fmt: skip
     replicas = _from_to(points["asked"].sum("replica").values)
     told.append(f"{replicas} {'replica' if replicas == '1' else 'replicas'}")
@@ -469,7 +469,7 @@ def _about(points: xr.Dataset) -> str:
 
 def _from_to(values: NDArray[np.generic]) -> str:
     """Return the least and the greatest value, one if they are equal."""
-    return " to ".join(f"{one:.5g}" for one in np.unique([values.min(), values.max()]))
+    return " to ".join(style.brief(one, 5) for one in np.unique([values.min(), values.max()]))
 
 
 def _theory(circuits: Iterable[Circuit], models: dict[str, Model]) -> str:

@@ -551,7 +551,7 @@ def test_the_legend_of_a_scene_leaves_its_table_free(folder: Path) -> None:
 def test_figures_are_seen_on_a_dark_page(folder: Path) -> None:
     data = postproc.open_results(folder / "map.h5")
     one = data.sel(channel2_width=0.01, threshold=2)
-    with mpl.style.context("dark_background"):
+    with mpl.style.context(["dark_background", {"text.color": (0.9, 0.9, 0.9)}]):
         page = Figure()
         eta, scene, flows, relaxation = page.subplots(4)
         postproc.Circuit(number=1000, threshold=7).plot_eta(ax=eta)

@@ -130,7 +130,7 @@ contains
     ! Why an error is missing: battery_observer.
     if (any([(relaxation_time(table_of(plan, results%point(p))), p=1, plan%point_count)] &
       >= huge(1.0_wp))) then
-      text = 'directions of motion never relax in these urns'
+      text = 'directions of motion never relax in these urns, or too slowly'
     else if (lacks(1)) then
       text = 'the run is too short, or its slowest changes are by far its largest'
     else
@@ -240,7 +240,7 @@ contains
     if (ieee_is_nan(number)) return
     write (text, '(f'//to_text(width)//'.'//to_text(digits)//')') number
     if (index(text, '*') == 0 .and. .not. (abs(number) > 0.0_dp .and. abs(number) &
-      < 1.0e-3_dp*0.1_dp**digits)) return
+      < 0.5_dp*0.1_dp**digits)) return
     write (text, '(es'//to_text(width)//'.'//to_text(min(width - 7, digits))//')') number
   end function number_text
 

@@ -15,8 +15,8 @@
 !> **Standard errors** come from the run itself (`battery_blocks`). They are NaN if the run is known
 !> to be too short:
 !> - for all averages, if it is shorter than ten times `relaxation_time` of the table;
-!> - for chi, near equal numbers, if there were fewer than five crossings a particle: N1 - N2, whose
-!>   square is about N there, relaxes in N/2 crossings;
+!> - for chi, near equal densities, if there were fewer than five crossings a particle: N1 - N2,
+!>   whose variance is about N there, relaxes in N/2 crossings;
 !> - for currents, in a polarised state in which the gate of the sparse urn hardly ever reverses:
 !>   particles that circulate along the axis carry part of the current until that gate reverses
 !>   them, so the run must have several such reversals;
@@ -44,9 +44,10 @@ module battery_observer
   real(wp), parameter :: least_relaxations = 10.0_wp
   integer(int64), parameter :: least_reversals = 4
   integer, parameter :: least_changes = 6
-  !> Least number of crossings for each particle, where N chi**2 is at most `equal_numbers`.
+  !> Least number of crossings for each particle, where densities are equal: N times the square of
+  !> the deviation of (N1 - N2)/N from its value there is at most `equal_densities`.
   integer(int64), parameter :: least_crossings = 5
-  real(wp), parameter :: equal_numbers = 16.0_wp
+  real(wp), parameter :: equal_densities = 16.0_wp
   !> The state counts as polarised if one gate reverses this many times as often as the other.
   integer(int64), parameter :: unlike = 10
 
@@ -65,6 +66,8 @@ module battery_observer
     logical :: channel2_open = .true.
     !> Relaxation time of the directions of motion.
     real(wp) :: relaxation = 0.0_wp
+    !> (N1 - N2)/N of equal densities, 0 for equal urns. Not saved: set by who makes or restores it.
+    real(wp) :: even_difference = 0.0_wp
     !> Since the start: reversals of each gate, particles reversed, wall collisions reported.
     integer(int64) :: reversals(2) = 0, bounce_backs = 0, collisions = 0
     !> Reversals of each gate before measuring began.
@@ -140,7 +143,7 @@ contains
   end subroutine begin_measuring
 
   !> Ends the series at the end of a run of `duration`: adds the last entry if it is missing because
-  !> rounding made the sum of the times slightly shorter than `duration`.
+  !> its time is above `duration` by rounding, as 3*0.1 is above 0.3.
   pure subroutine end_series(observer, duration)
     type(observer_type), intent(inout) :: observer
     real(wp), intent(in) :: duration
@@ -157,8 +160,8 @@ contains
   pure subroutine observe_window(observer, event_record, until_entry)
     type(observer_type), intent(inout) :: observer
     type(event_record_type), intent(in) :: event_record
-    !> Time from the start of the window until the next entry of the series, by the engine's clock;
-    !> if absent, from the previous windows, whose sum drifts.
+    !> Time from the start of the window until the next entry of the series, by the engine's clock,
+    !> which does not drift as the sum of windows does; if absent, that is taken.
     real(wp), intent(in), optional :: until_entry
     real(wp) :: last
     integer :: k, crossing, channel, way, down, added
@@ -349,13 +352,15 @@ contains
     end associate
   end function error_of
 
-  !> Whether N1 - N2 had the time to relax, or is not near 0.
+  !> Whether N1 - N2 had the time to relax, or is far from that of equal densities.
   pure logical function number_relaxed(observer)
     type(observer_type), intent(in) :: observer
+    real(wp) :: difference
 
-    associate (o => observer)
-      number_relaxed = sum(o%crossings) >= least_crossings*o%number .or. (o%spread &
-        + o%block_spread)**2 > equal_numbers*real(o%number, wp)*measured_time(o)**2
+    associate (o => observer, blocks => observer%blocks(of_difference))
+      difference = sum(blocks%average(:blocks%count))/real(max(blocks%count, 1), wp)
+      number_relaxed = sum(o%crossings) >= least_crossings*o%number .or. real(o%number, wp) &
+        *(difference - o%even_difference)**2 > equal_densities
     end associate
   end function number_relaxed
 

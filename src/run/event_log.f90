@@ -25,9 +25,13 @@ contains
     !> Set if there is no memory for the events; then the log does not change.
     logical, intent(inout) :: out_of_room
     type(event_type), allocatable :: longer(:)
+    real(wp) :: last
     integer :: total, status
 
     if (.not. allocated(log%event)) allocate (log%event(0))
+    ! Events one rounding apart in two windows, whose starts are rounded, keep their order.
+    last = 0.0_wp
+    if (log%count > 0) last = log%event(log%count)%time
     total = log%count + event_record%events
     if (total > size(log%event)) then
       allocate (longer(max(total, 2*size(log%event), 1024)), stat=status)
@@ -38,7 +42,7 @@ contains
     end if
     associate (added => log%event(log%count + 1:total))
       added = event_record%event(:event_record%events)
-      added%time = elapsed + added%time
+      added%time = max(last, elapsed + added%time)
     end associate
     log%count = total
   end subroutine append_events

@@ -8,7 +8,8 @@ module battery_simulation
   use battery_powers, only: power_below
   use battery_text, only: to_text
   use battery_error, only: error_type, fatal_error
-  use battery_table, only: channel2, relaxation_time, chamber_at, outside, half_length
+  use battery_table, only: channel2, relaxation_time, even_difference, chamber_at, outside, &
+    half_length
   use battery_engine, only: engine_type, particles_type, allocate_particles
   use battery_event_record, only: event_record_type
   use battery_observer, only: end_series, observer_type, new_observer, observe_window, &
@@ -77,6 +78,7 @@ contains
       power_below(maxval(setup%table%urn%reach)), &
       channel2_open=setup%table%channel(channel2)%width > 0.0_wp, &
       relaxation=relaxation_time(setup%table))
+    simulation%observer%even_difference = even_difference(setup%table)
     call check_remaining_memory(simulation, error)
     if (allocated(error)) return
     ! The snapshot at the start has the given particles, without the rounding of the engine.
@@ -382,11 +384,13 @@ contains
     if (archive%reading) call make_engine(simulation, setup, error)
     if (allocated(error)) return
     call serialize_observer(simulation%observer, archive)
+    simulation%observer%even_difference = even_difference(setup%table)
     if (archive%reading .and. .not. archive%failed()) call check_remaining_memory(simulation, error)
     if (allocated(error)) return
     if (.not. archive%failed()) call simulation%engine%serialize_state(setup%table, &
       setup%threshold, archive)
     call archive%serialize('elapsed', simulation%elapsed)
+    simulation%elapsed = simulation%engine%elapsed()
     call archive%serialize('transient_time', simulation%transient_time)
     call archive%serialize('transient_collisions', simulation%transient_collisions)
     call archive%serialize('collisions', simulation%collisions)

@@ -7,7 +7,7 @@ module battery_corners
   use battery_kinds, only: wp, pi
   implicit none (type, external)
   private
-  public :: most_corners, regular_corners, enclosed_area, spreading_time, reversed_corners, &
+  public :: most_corners, regular_corners, enclosed_area, is_nearly_rational, reversed_corners, &
     next_corner, distance_to_side, is_on_side, sides_meet, side_distance, side_on_axis
 
   !> Largest number of corners of a polygon.
@@ -56,20 +56,19 @@ contains
     end do
   end function enclosed_area
 
-  !> Time in which the directions of a particle spread evenly within a polygon. Huge if the polygon
-  !> is rational: all its sides are, within the rounding of typed digits, at multiples of pi/n, so
-  !> that a particle has only 2n directions. If sides deviate by small angles e from multiples of
-  !> pi/n, a hit turns a direction by 2e, in either sense: directions spread over the gaps of pi/n
-  !> in (pi/n)**2/<4 e**2> hits. Beyond n = 12 the gaps are so narrow that they hardly matter.
-  pure function spreading_time(corner) result(time)
+  !> Whether a polygon is rational, so that a particle in it has only 2n directions, or nearly so:
+  !> all its sides are at multiples of pi/n within the rounding of typed digits, or, of few
+  !> directions, the root mean square of their deviations is below a thirtieth of pi/n. Turns at
+  !> sides that are nearly parallel cancel, so that directions then relax very slowly. Runs in
+  !> squares with one side tilted stated errors that were too small up to 5 degrees.
+  pure logical function is_nearly_rational(corner)
     !> Corners, (x, y) in columns.
     real(wp), intent(in) :: corner(:, :)
-    real(wp) :: time
-    !> Largest n of a rational polygon, and of gaps that matter; tolerance for the angle of a side.
-    integer, parameter :: most_parts = 120, most_gaps = 12
-    real(wp), parameter :: tolerance = 1.0e-6_wp
+    !> Largest n, and largest n of few directions; tolerance for the angle of a side.
+    integer, parameter :: most_parts = 120, few_parts = 6
+    real(wp), parameter :: tolerance = 1.0e-6_wp, nearest_share = 1.0_wp/30.0_wp
     real(wp), dimension(size(corner, 2)) :: angle, length, deviation
-    real(wp) :: side(2), gap, hits
+    real(wp) :: side(2), part
     integer :: k, n
 
     do k = 1, size(corner, 2)
@@ -77,17 +76,16 @@ contains
       angle(k) = atan2(side(2), side(1))
       length(k) = hypot(side(1), side(2))
     end do
-    hits = 0.0_wp
+    is_nearly_rational = .true.
     do n = 1, most_parts
-      gap = pi/real(n, wp)
-      deviation = angle - anint(angle/gap)*gap
-      time = huge(1.0_wp)
+      part = pi/real(n, wp)
+      deviation = angle - anint(angle/part)*part
       if (all(abs(deviation) < tolerance)) return
-      if (n <= most_gaps) hits = max(hits, gap**2*sum(length)/sum(length*(2.0_wp*deviation)**2))
+      if (n <= few_parts .and. sum(length*deviation**2) < sum(length)*(nearest_share*part)**2) &
+        return
     end do
-    ! The mean path between hits is pi times the area over the perimeter.
-    time = hits*pi*abs(enclosed_area(corner))/sum(length)
-  end function spreading_time
+    is_nearly_rational = .false.
+  end function is_nearly_rational
 
   !> The same polygon with its corners in the opposite order; the first one stays the first.
   pure function reversed_corners(corner) result(reversed)

@@ -16,7 +16,7 @@ module battery_table
   use battery_channel, only: channel_type, is_open, fold_into_channel, channel1, channel2, &
     no_channel, facing
   use battery_urn_shape, only: mean_urn_passage
-  use battery_corners, only: spreading_time
+  use battery_corners, only: is_nearly_rational
   use battery_motion, only: outside, in_urn, in_gate, in_channel2, least_across
   use battery_scatterers, only: scattered_half_channel_type, new_scattered_half_channel, &
     is_in_scatterer, measure_scatterers
@@ -31,7 +31,7 @@ module battery_table
   public :: passage_type, passage_at
   public :: area, perimeter, half_length, mean_urn_passage, shortest_excursion, try_random_point, &
     longest_run
-  public :: relaxation_time
+  public :: relaxation_time, even_difference
 
   !> Shapes: the circuit of Fig. model, and the single urn with a gate and an end wall of Fig. app1.
   integer, parameter :: shape_circuit = 1, shape_urn = 2
@@ -158,6 +158,14 @@ contains
     total = total - covered
   end function area
 
+  !> (N1 - N2)/N of equal densities in both urns and all channels.
+  pure function even_difference(table) result(difference)
+    type(table_type), intent(in) :: table
+    real(wp) :: difference
+
+    difference = (table%urn(1)%area - table%urn(table%urn_count)%area)/area(table)
+  end function even_difference
+
   !> Length |dQ| of all walls, the end wall of the single urn included.
   pure function perimeter(table) result(length)
     type(table_type), intent(in) :: table
@@ -201,24 +209,24 @@ contains
   !> Bound of the time in which the directions of motion relax in the larger urn: 25 r^4/w^3, with r
   !> the radius of a disc of the urn's area. In discs they relax in 19 r^4/w^3 (docs/theory.md): the
   !> 25 takes each passage as long as the mean one, but oblique particles are faster. It is kept,
-  !> since no error should be given too early. If both urns are polygons, it is at least the time in
-  !> which directions spread in one of them; discs in channel 2 meet too few particles to help. Huge
-  !> if channel 1 is closed, or if directions never spread. Errors of a run shorter than ten times
-  !> this are not estimated.
+  !> since no error should be given too early. Huge if channel 1 is closed, or if all urns are
+  !> polygons in which directions never relax, or too slowly: discs in a narrow channel 2 meet too
+  !> few particles to change that. Errors of a run shorter than ten times this are not estimated.
   pure function relaxation_time(table) result(time)
     type(table_type), intent(in) :: table
-    real(wp) :: time, radius, within
+    real(wp) :: time, radius
+    logical :: relaxes
     integer :: urn
 
-    time = huge(1.0_wp)
-    if (.not. is_open(table%channel(channel1))) return
-    radius = sqrt(maxval(table%urn(:table%urn_count)%area)/pi)
-    within = time
+    relaxes = .false.
     do urn = 1, table%urn_count
-      if (table%urn(urn)%shape /= shape_polygon) within = 0.0_wp
-      if (within > 0.0_wp) within = min(within, spreading_time(table%urn(urn)%corner))
+      if (.not. relaxes) relaxes = table%urn(urn)%shape /= shape_polygon
+      if (.not. relaxes) relaxes = .not. is_nearly_rational(table%urn(urn)%corner)
     end do
-    time = max(25.0_wp*radius*(radius/table%channel(channel1)%width)**3, within)
+    time = huge(1.0_wp)
+    if (.not. (relaxes .and. is_open(table%channel(channel1)))) return
+    radius = sqrt(maxval(table%urn(:table%urn_count)%area)/pi)
+    time = 25.0_wp*radius*(radius/table%channel(channel1)%width)**3
   end function relaxation_time
 
   !> Urn to whose half of the table a point belongs; the middle line belongs to urn 2, if there is
