@@ -5,6 +5,7 @@ from __future__ import annotations
 import difflib
 import json
 import os
+import re
 import shutil
 import signal
 import subprocess
@@ -18,7 +19,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 from numbers import Integral
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any
 
 import f90nml
 
@@ -336,8 +337,9 @@ def _reason(code: int, errors: str, output: str) -> str:
     if code == STOPPED:
         return "stopped early, the state is saved: the same call, without overwrite, goes on"
     failures = [line for line in output.splitlines() if " failed: " in line]
-    by_signal = code < 0 or code > 128  # of a launcher
-    last = "" if by_signal else program_words(output).rpartition("\n")[2]
+    lines = [line for line in program_words(output).splitlines() if re.search(r"\w", line)]
+    by_signal = code < 0 or STOPPED < code <= 64 or 128 < code <= 192  # as launchers have it
+    last = "" if by_signal or not lines else lines[-1]
     return "\n".join(failures) or errors or last or f"the program ended with {code}"
 
 
@@ -434,20 +436,17 @@ def _exit_codes_known() -> Iterator[None]:
         signal.signal(signal.SIGCHLD, before)
 
 
-def _errors_file() -> IO[str]:
-    """Return a file for standard error: on Linux in memory, since the disk may be full."""
-    with suppress(AttributeError, OSError):  # not everywhere, or forbidden
-        return os.fdopen(os.memfd_create("errors"), "w+", encoding="utf-8", errors="replace")
-    return tempfile.TemporaryFile("w+", encoding="utf-8", errors="replace")
-
-
 def _launch(command: list[str], folder: Path, quiet: bool) -> tuple[int | None, str, str]:
     """Return exit code, output and errors of a command; output is printed as it arrives."""
-    output = []
-    with _errors_file() as errors:
+    output: list[str] = []
+    errors: list[str] = []
+    read_end, write_end = os.pipe()  # no file, which a full disk or a launcher's `>` would empty
+    reader = threading.Thread(target=_read_lines, args=(read_end, errors), daemon=True)
+    reader.start()
+    try:
         with subprocess.Popen(
             ended_with_python(command), cwd=folder, stdin=subprocess.DEVNULL,
-            stdout=subprocess.PIPE, stderr=errors, encoding="utf-8", errors="replace",
+            stdout=subprocess.PIPE, stderr=write_end, encoding="utf-8", errors="replace",
             start_new_session=True, env=own_environment(),
         ) as process:  # fmt: skip
             try:
@@ -462,8 +461,16 @@ def _launch(command: list[str], folder: Path, quiet: bool) -> tuple[int | None, 
                     raise KeyboardInterrupt(_reason(STOPPED, "", "")) from None
                 raise
             code = _exit_code(process)
-        errors.seek(0)
-        return code, "".join(output), errors.read()
+    finally:
+        os.close(write_end)
+    reader.join(1.0)  # what a launcher has left behind may keep the pipe open
+    return code, "".join(output), "".join(errors)
+
+
+def _read_lines(read_end: int, lines: list[str]) -> None:
+    """Append what arrives in a pipe, until its end."""
+    with open(read_end, encoding="utf-8", errors="replace") as pipe:
+        lines.extend(pipe)
 
 
 def _exit_code(process: subprocess.Popen[str]) -> int | None:

@@ -315,22 +315,26 @@ cd $folder
 echo 300000000 | tee memory.max > memory.limit_in_bytes
 echo 299000000 | tee memory.current > memory.usage_in_bytes
 printf "%sinactive_file 1000000\\n%sactive_file $2\\n" "" "" total_ total_ > memory.stat
+echo "slab_reclaimable $3" >> memory.stat
 done
 cd "$1"
 exec {program} --check case.nml
 """
 
 
-@pytest.mark.parametrize(("active", "code"), [("290000000", 0), ("1000000", 2)])
-def test_cached_files_of_a_control_group_are_free_memory(
-    tmp_path: Path, active: str, code: int
+@pytest.mark.parametrize(
+    ("active", "tables", "code"), [(290000000, 0, 0), (0, 290000000, 0), (1000000, 1000000, 2)]
+)
+def test_cached_files_and_tables_of_a_control_group_are_free_memory(
+    tmp_path: Path, active: int, tables: int, code: int
 ) -> None:
     write(tmp_path)
     if shutil.which("unshare") is None:
         pytest.skip("there is no unshare")
     words = ["unshare", "-rm", "sh", "-c", GROUP.format(program=PROGRAM), "sh", str(tmp_path)]
+    words += [str(active), str(tables)]
     done = subprocess.run(
-        [*words, active], env=ALONE, capture_output=True, text=True, timeout=PATIENCE, check=False
+        words, env=ALONE, capture_output=True, text=True, timeout=PATIENCE, check=False
     )
     if not (tmp_path / "mounted").exists():
         pytest.skip("this system does not let us mount a small file system")

@@ -23,7 +23,7 @@ from support.program import run as run_program
 
 import postproc
 from postproc.cli import InputError
-from postproc.running import STOPPED, RunError
+from postproc.running import STOPPED, RunError, _reason
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -426,27 +426,28 @@ def test_a_run_that_stops_early_says_so(tmp_path: Path) -> None:
     assert postproc.open_results(tmp_path / "it's.h5").attrs["status"] == "partial"
 
 
-def test_a_refusal_is_told_where_files_in_memory_are_forbidden(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def forbidden(_: str) -> int:
-        raise PermissionError(errno.EPERM, "Operation not permitted")
-
-    monkeypatch.setattr(os, "memfd_create", forbidden, raising=False)
+def test_a_refusal_is_told_where_a_launcher_empties_standard_error(tmp_path: Path) -> None:
+    """As of a file, which it opens again; and where temporary files cannot be written."""
+    script = tmp_path / "launcher"
+    script.write_text('#!/bin/sh\nshift\n"$@"\ncode=$?\necho ended > /dev/stderr\nexit $code\n')
+    script.chmod(0o755)
+    groups = changed(particles={"number": -5})
     with pytest.raises(InputError, match="number = -5"):
-        postproc.run(changed(particles={"number": -5}), folder=tmp_path, quiet=True)
+        postproc.run(groups, folder=tmp_path, ranks=2, launcher=[str(script)], quiet=True)
 
 
-@pytest.mark.skipif(not hasattr(os, "memfd_create"), reason="has no files in memory")
-def test_a_refusal_is_told_where_temporary_files_cannot_be_written(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def full(*_: object, **__: object) -> None:
-        raise OSError(errno.ENOSPC, "No space left on device")
-
-    monkeypatch.setattr(tempfile, "TemporaryFile", full)
-    with pytest.raises(InputError, match="number = -5"):
-        postproc.run(changed(particles={"number": -5}), folder=tmp_path, quiet=True)
+@pytest.mark.parametrize(
+    ("code", "output", "reason"),
+    [
+        (-9, "going on\n", "the program ended with -9"),
+        (9, "going on\n", "the program ended with 9"),
+        (137, "going on\n", "the program ended with 137"),
+        (255, "connection refused\n", "connection refused"),
+        (1, "-" * 40 + "\nno slots\n" + "-" * 41 + "\n", "no slots"),
+    ],
+)
+def test_the_last_line_is_a_reason_unless_a_signal_is(code: int, output: str, reason: str) -> None:
+    assert _reason(code, "", output) == reason
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")

@@ -15,8 +15,8 @@
 !> **Standard errors** come from the run itself (`battery_blocks`). They are NaN if the run is known
 !> to be too short:
 !> - for all averages, if it is shorter than ten times `relaxation_time` of the table;
-!> - for chi, near equal densities, if there were fewer than five crossings a particle: N1 - N2,
-!>   whose variance is about N there, relaxes in N/2 crossings;
+!> - for chi, near equal densities, if N1, whose variance is about N/4 there, changed too little: in
+!>   a relaxation time the squares of its changes in short times add up to N/2;
 !> - for currents, in a polarised state in which the gate of the sparse urn hardly ever reverses:
 !>   particles that circulate along the axis carry part of the current until that gate reverses
 !>   them, so the run must have several such reversals;
@@ -44,9 +44,10 @@ module battery_observer
   real(wp), parameter :: least_relaxations = 10.0_wp
   integer(int64), parameter :: least_reversals = 4
   integer, parameter :: least_changes = 6
-  !> Least number of crossings for each particle, where densities are equal: N times the square of
-  !> the deviation of (N1 - N2)/N from its value there is at most `equal_densities`.
-  integer(int64), parameter :: least_crossings = 5
+  !> Least sum of the squares of the changes of N1 in the blocks, over N, where densities are equal:
+  !> N times the square of the deviation of (N1 - N2)/N from its value there is at most
+  !> `equal_densities`.
+  real(wp), parameter :: least_changes_of_number = 5.0_wp
   real(wp), parameter :: equal_densities = 16.0_wp
   !> The state counts as polarised if one gate reverses this many times as often as the other.
   integer(int64), parameter :: unlike = 10
@@ -352,15 +353,19 @@ contains
     end associate
   end function error_of
 
-  !> Whether N1 - N2 had the time to relax, or is far from that of equal densities.
+  !> Whether N1 had the time to relax, or is far from that of equal densities.
   pure logical function number_relaxed(observer)
     type(observer_type), intent(in) :: observer
-    real(wp) :: difference
+    real(wp) :: changes, difference
+    integer :: n
 
-    associate (o => observer, blocks => observer%blocks(of_difference))
-      difference = sum(blocks%average(:blocks%count))/real(max(blocks%count, 1), wp)
-      number_relaxed = sum(o%crossings) >= least_crossings*o%number .or. real(o%number, wp) &
-        *(difference - o%even_difference)**2 > equal_densities
+    associate (o => observer, blocks => observer%blocks)
+      n = blocks(of_difference)%count
+      changes = sum((blocks(of_current1)%average(:n) + blocks(of_current2)%average(:n))**2) &
+        *blocks(of_difference)%length**2
+      difference = sum(blocks(of_difference)%average(:n))/real(max(n, 1), wp)
+      number_relaxed = changes >= least_changes_of_number*real(o%number, wp) .or. &
+        real(o%number, wp)*(difference - o%even_difference)**2 > equal_densities
     end associate
   end function number_relaxed
 

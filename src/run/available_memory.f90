@@ -130,8 +130,8 @@ contains
   end function available_memory
 
   !> Least number of bytes left in the control group of this process and the groups above it; within
-  !> a container only the beginning of the path may exist. Cached pages of files count as available:
-  !> the system gives them back.
+  !> a container only the beginning of the path may exist. Cached pages of files and, where they are
+  !> known, of the system's own tables count as available: the system gives them back.
   real(dp) function bytes_in_groups(root, controller, limit, used, total) result(bytes)
     !> Folder of all groups; what stands before the path in the list of the process' groups; names
     !> of the limit and of used bytes; what stands before the names of cached bytes.
@@ -145,13 +145,22 @@ contains
     group = root//group
     do while (len(group) >= len(root))
       most = number_after(group//'/'//limit, '')
-      cached = number_after(group//'/memory.stat', total//'inactive_file ') &
-        + number_after(group//'/memory.stat', total//'active_file ')
+      cached = counted(number_after(group//'/memory.stat', total//'inactive_file ')) &
+        + counted(number_after(group//'/memory.stat', total//'active_file ')) &
+        + counted(number_after(group//'/memory.stat', 'slab_reclaimable ')) &
+        + counted(number_after(group//'/memory.kmem.usage_in_bytes', ''))
       bytes = min(bytes, bytes_left(most, number_after(group//'/'//used, '')) &
         + merge(cached, 0.0_dp, cached < most))
       group = group(:index(group, '/', back=.true.) - 1)
     end do
   end function bytes_in_groups
+
+  !> A number of bytes; 0 if it is `none`.
+  pure real(dp) function counted(bytes)
+    real(dp), intent(in) :: bytes
+
+    counted = merge(bytes, 0.0_dp, bytes < none)
+  end function counted
 
   !> Bytes below a limit that are not in use yet; any number of them if either is `none`.
   pure real(dp) function bytes_left(limit, used)
