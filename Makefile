@@ -99,7 +99,7 @@ build: libraries $(fpm) information ## builds build/bin/battery and installs the
 	echo "Building $(PROGRAM) (log: $(BUILT)/log)"
 	mkdir -p $(BUILT)
 	# What a link that was interrupted has left fpm would take for the program.
-	find build -maxdepth 3 -path '*/app/battery' ! -perm -u+x -delete
+	flock build/.lock find build -maxdepth 3 -path '*/app/battery' ! -perm -u+x -delete
 	flock build/.lock $(fpm) install --prefix $(BUILT) > $(BUILT)/log 2>&1 || { cat $(BUILT)/log >&2; exit 1; }
 	[[ "$(POSTPROC)" == 0 ]] || $(MAKE) $(COMMANDS) || {
 	  echo "The program is complete: $(PROGRAM). Its Python side needs packages that pip could not get;"

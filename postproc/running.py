@@ -338,7 +338,7 @@ def _reason(code: int, errors: str, output: str) -> str:
         return "stopped early, the state is saved: the same call, without overwrite, goes on"
     failures = [line for line in output.splitlines() if " failed: " in line]
     lines = [line for line in program_words(output).splitlines() if re.search(r"\w", line)]
-    by_signal = code < 0 or STOPPED < code <= 64 or 128 < code <= 192  # as launchers have it
+    by_signal = code < 0 or 3 < code <= 64 or 128 < code <= 192  # launchers say 9, or 137
     last = "" if by_signal or not lines else lines[-1]
     return "\n".join(failures) or errors or last or f"the program ended with {code}"
 
@@ -440,37 +440,43 @@ def _launch(command: list[str], folder: Path, quiet: bool) -> tuple[int | None, 
     """Return exit code, output and errors of a command; output is printed as it arrives."""
     output: list[str] = []
     errors: list[str] = []
-    read_end, write_end = os.pipe()  # no file, which a full disk or a launcher's `>` would empty
-    reader = threading.Thread(target=_read_lines, args=(read_end, errors), daemon=True)
-    reader.start()
+    # no file: a disk may be full, and a launcher's `>` would empty it
+    read_end, write_end = os.pipe()
     try:
-        with subprocess.Popen(
+        started = subprocess.Popen(
             ended_with_python(command), cwd=folder, stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE, stderr=write_end, encoding="utf-8", errors="replace",
             start_new_session=True, env=own_environment(),
-        ) as process:  # fmt: skip
-            try:
-                for line in process.stdout or ():
-                    output.append(line)
-                    if not quiet:
-                        print(_for_stdout(line), end="", flush=True)
-            except BaseException as problem:
-                process.send_signal(signal.SIGUSR1)  # saves the state; mpirun passes it on
-                deque(process.stdout or (), maxlen=0)  # or a full pipe would hold it
-                if _exit_code(process) == STOPPED and isinstance(problem, KeyboardInterrupt):
-                    raise KeyboardInterrupt(_reason(STOPPED, "", "")) from None
-                raise
-            code = _exit_code(process)
+        )  # fmt: skip
+    except BaseException:
+        os.close(read_end)
+        raise
     finally:
         os.close(write_end)
-    reader.join(1.0)  # what a launcher has left behind may keep the pipe open
+    with started as process:
+        reader = threading.Thread(target=_read_lines, args=(read_end, errors), daemon=True)
+        reader.start()
+        try:
+            for line in process.stdout or ():
+                output.append(line)
+                if not quiet:
+                    print(_for_stdout(line), end="", flush=True)
+        except BaseException as problem:
+            process.send_signal(signal.SIGUSR1)  # saves the state; mpirun passes it on
+            deque(process.stdout or (), maxlen=0)  # or a full pipe would hold it
+            if _exit_code(process) == STOPPED and isinstance(problem, KeyboardInterrupt):
+                raise KeyboardInterrupt(_reason(STOPPED, "", "")) from None
+            raise
+        code = _exit_code(process)
+    reader.join(5.0)  # what a launcher has left behind may keep the pipe open
     return code, "".join(output), "".join(errors)
 
 
 def _read_lines(read_end: int, lines: list[str]) -> None:
     """Append what arrives in a pipe, until its end."""
     with open(read_end, encoding="utf-8", errors="replace") as pipe:
-        lines.extend(pipe)
+        for line in pipe:
+            lines.append(line)  # noqa: PERF402 (read elsewhere before the end)
 
 
 def _exit_code(process: subprocess.Popen[str]) -> int | None:

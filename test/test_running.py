@@ -427,9 +427,12 @@ def test_a_run_that_stops_early_says_so(tmp_path: Path) -> None:
 
 
 def test_a_refusal_is_told_where_a_launcher_empties_standard_error(tmp_path: Path) -> None:
-    """As of a file, which it opens again; and where temporary files cannot be written."""
+    """As of a file, which it opens again; it also prints more than a pipe holds."""
     script = tmp_path / "launcher"
-    script.write_text('#!/bin/sh\nshift\n"$@"\ncode=$?\necho ended > /dev/stderr\nexit $code\n')
+    much = "head -c 200000 /dev/zero | tr '\\0' ' ' >&2"
+    script.write_text(
+        f'#!/bin/sh\nshift\n{much}\n"$@"\ncode=$?\necho ended > /dev/stderr\nexit $code\n'
+    )
     script.chmod(0o755)
     groups = changed(particles={"number": -5})
     with pytest.raises(InputError, match="number = -5"):
@@ -450,18 +453,28 @@ def test_the_last_line_is_a_reason_unless_a_signal_is(code: int, output: str, re
     assert _reason(code, "", output) == reason
 
 
+def programs_in(folder: Path) -> Iterator[int]:
+    """Yield the numbers of the processes of the program in a folder."""
+    for process in Path("/proc").glob("[0-9]*"):
+        with suppress(OSError):
+            if (process / "exe").samefile(PROGRAM) and (process / "cwd").samefile(folder):
+                yield int(process.name)
+
+
 @pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
 def test_a_run_that_is_killed_has_no_reason_that_it_has_printed_before(tmp_path: Path) -> None:
-    groups = changed(run={"duration": 1e9}, gate={"threshold": 200}, output={"file": "out.h5"})
+    groups = changed(run={"duration": 1e9}, gate={"threshold": 200}, output={"file": "out.h5"},
+                     limits={"wall_minutes": 2.0})  # fmt: skip
+    killed: list[int] = []
 
     def kill() -> None:
         end = time.monotonic() + PATIENCE
-        while time.monotonic() < end and not (tmp_path / "out.h5.tasks/plan").exists():
-            time.sleep(0.01)
-        for process in Path("/proc").glob("[0-9]*"):
-            with suppress(OSError):
-                if (process / "exe").samefile(PROGRAM) and (process / "cwd").samefile(tmp_path):
-                    os.kill(int(process.name), signal.SIGKILL)
+        while time.monotonic() < end and not killed:
+            time.sleep(0.05)
+            if (tmp_path / "out.h5.tasks/plan").exists():
+                killed.extend(one for one in programs_in(tmp_path))
+        for number in killed:
+            os.kill(number, signal.SIGKILL)
 
     killer = threading.Thread(target=kill)
     killer.start()

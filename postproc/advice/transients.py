@@ -70,9 +70,10 @@ def memory_time(circuit: Circuit) -> float:
 def number_time(circuit: Circuit) -> float:
     """Return the time after which a run from equal numbers has left them, or fluctuates about them.
 
-    A difference grows from N**0.5 with dN2/dt = eta, here for `GROWN` of the way to the state. When
-    it does scatters by some of the times in which it grows near equal numbers, or decays there:
-    at most that of channel 2 alone, though next to a transition it diverges. At most `LONGEST`.
+    A difference grows from N**0.5 with dN2/dt = eta, here for `GROWN` of the way to the state. It
+    begins to grow at a time that scatters, by some of the times in which a difference grows or
+    decays near equal numbers. These diverge next to a transition; here they are at most that of
+    channel 2 alone, pi A/(2 w'). At most `LONGEST`.
     """
     if circuit.shape == "urn":
         return 0.0
@@ -84,7 +85,7 @@ def number_time(circuit: Circuit) -> float:
         growing = int(np.argmin(np.append(way * eta(mixed, place), 0.0) > 0.0))
         grown = 0.0
         if growing > 0:
-            end = place[min(growing, PLACES - 1)]
+            end = place[growing - 1]
             place = np.linspace(first, first + GROWN * (end - first), PLACES)
             grown = abs(float(integrate.trapezoid(1.0 / eta(mixed, place), place)))
         if near := max(width, abs(float(stability(side, width)))):

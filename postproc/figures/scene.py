@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from postproc.reading.groups import Snapshot
     from postproc.theory.circuit import Circuit
 
-GATE_TINT = "#E8E8E8"
+GATE_TINT = "#8080802E"
 ROUNDING = 1e-9  # of a place on a wall
 SLOWEST = 1e-12  # |ux| below this times l/r counts as 0 in a channel
 

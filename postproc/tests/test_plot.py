@@ -562,6 +562,10 @@ def test_figures_are_seen_on_a_dark_page(folder: Path) -> None:
             colours = [to_rgb(line.get_color()) for line in axes.lines]
             assert len(colours) > 2
             assert to_rgb(page.get_facecolor()) not in colours
+        edges = [to_rgb(one) for dots in scene.collections for one in dots.get_edgecolors()]
+        assert edges
+        assert to_rgb(page.get_facecolor()) not in edges
+        assert to_rgb(page.get_facecolor()) in [to_rgb(one.get_mfc()) for one in eta.lines]
 
 
 @pytest.mark.parametrize(

@@ -15,8 +15,9 @@
 !> **Standard errors** come from the run itself (`battery_blocks`). They are NaN if the run is known
 !> to be too short:
 !> - for all averages, if it is shorter than ten times `relaxation_time` of the table;
-!> - for chi, near equal densities, if N1, whose variance is about N/4 there, changed too little: in
-!>   a relaxation time the squares of its changes in short times add up to N/2;
+!> - for chi, near equal densities, if N1, whose variance is about N/4 there (less in unequal urns),
+!>   changed too little: in a relaxation time the squares of its changes in short times add up to
+!>   twice its variance;
 !> - for currents, in a polarised state in which the gate of the sparse urn hardly ever reverses:
 !>   particles that circulate along the axis carry part of the current until that gate reverses
 !>   them, so the run must have several such reversals;
@@ -44,9 +45,9 @@ module battery_observer
   real(wp), parameter :: least_relaxations = 10.0_wp
   integer(int64), parameter :: least_reversals = 4
   integer, parameter :: least_changes = 6
-  !> Least sum of the squares of the changes of N1 in the blocks, over N, where densities are equal:
-  !> N times the square of the deviation of (N1 - N2)/N from its value there is at most
-  !> `equal_densities`.
+  !> Least sum of the squares of the changes of N1 in the blocks, over four times its variance,
+  !> where densities are equal: there the square of the deviation of N1 - N2 from its value is at
+  !> most `equal_densities` times its variance.
   real(wp), parameter :: least_changes_of_number = 5.0_wp
   real(wp), parameter :: equal_densities = 16.0_wp
   !> The state counts as polarised if one gate reverses this many times as often as the other.
@@ -356,16 +357,18 @@ contains
   !> Whether N1 had the time to relax, or is far from that of equal densities.
   pure logical function number_relaxed(observer)
     type(observer_type), intent(in) :: observer
-    real(wp) :: changes, difference
+    real(wp) :: changes, difference, number
     integer :: n
 
     associate (o => observer, blocks => observer%blocks)
+      ! Four times the variance of N1: fewer than N particles where most are in one urn.
+      number = real(o%number, wp)*(1.0_wp - o%even_difference**2)
       n = blocks(of_difference)%count
       changes = sum((blocks(of_current1)%average(:n) + blocks(of_current2)%average(:n))**2) &
         *blocks(of_difference)%length**2
       difference = sum(blocks(of_difference)%average(:n))/real(max(n, 1), wp)
-      number_relaxed = changes >= least_changes_of_number*real(o%number, wp) .or. &
-        real(o%number, wp)*(difference - o%even_difference)**2 > equal_densities
+      number_relaxed = changes >= least_changes_of_number*number .or. (difference &
+        - o%even_difference)**2*real(o%number, wp)**2 > equal_densities*number
     end associate
   end function number_relaxed
 

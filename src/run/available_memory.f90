@@ -130,8 +130,8 @@ contains
   end function available_memory
 
   !> Least number of bytes left in the control group of this process and the groups above it; within
-  !> a container only the beginning of the path may exist. Cached pages of files and, where they are
-  !> known, of the system's own tables count as available: the system gives them back.
+  !> a container only the beginning of the path may exist. Cached pages of files and the system's
+  !> own tables, in older groups all its memory, count as available: most of it is given back.
   real(dp) function bytes_in_groups(root, controller, limit, used, total) result(bytes)
     !> Folder of all groups; what stands before the path in the list of the process' groups; names
     !> of the limit and of used bytes; what stands before the names of cached bytes.

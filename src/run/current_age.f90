@@ -145,8 +145,8 @@ contains
       ! Number of particles in the sparse urn for which the current through channel 2 equals that of
       ! channel 1 in the other direction, by iteration from an empty urn; at most half of all.
       widths = width(channel2)/width(channel1)
-      if (widths > largest_widths*(1.0_dp + 1.0e-12_dp) .or. real(point%channel(channel1)%length, &
-        dp) > largest_length*radius(1)) return
+      if (max(widths/largest_widths, real(point%channel(channel1)%length, dp)/(largest_length &
+        *radius(1))) > 1.0_dp + 1.0e-12_dp) return
       sparse = 0.0_dp
       do step = 1, most_steps
         before = sparse

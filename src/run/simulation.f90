@@ -390,7 +390,9 @@ contains
     if (.not. archive%failed()) call simulation%engine%serialize_state(setup%table, &
       setup%threshold, archive)
     call archive%serialize('elapsed', simulation%elapsed)
-    simulation%elapsed = simulation%engine%elapsed()
+    ! Older versions saved a sum of windows.
+    if (archive%reading .and. .not. archive%failed()) simulation%elapsed = &
+      simulation%engine%elapsed()
     call archive%serialize('transient_time', simulation%transient_time)
     call archive%serialize('transient_collisions', simulation%transient_collisions)
     call archive%serialize('collisions', simulation%collisions)

@@ -158,7 +158,8 @@ contains
     total = total - covered
   end function area
 
-  !> (N1 - N2)/N of equal densities in both urns and all channels.
+  !> (N1 - N2)/N of equal densities in both urns and all channels, as if discs in channel 2 were in
+  !> both halves of it.
   pure function even_difference(table) result(difference)
     type(table_type), intent(in) :: table
     real(wp) :: difference
@@ -210,8 +211,9 @@ contains
   !> the radius of a disc of the urn's area. In discs they relax in 19 r^4/w^3 (docs/theory.md): the
   !> 25 takes each passage as long as the mean one, but oblique particles are faster. It is kept,
   !> since no error should be given too early. Huge if channel 1 is closed, or if all urns are
-  !> polygons in which directions never relax, or too slowly: discs in a narrow channel 2 meet too
-  !> few particles to change that. Errors of a run shorter than ten times this are not estimated.
+  !> polygons in which directions never relax, or too slowly: discs in channel 2 count for nothing,
+  !> since in a narrow one they meet too few particles. Errors of a run shorter than ten times this
+  !> are not estimated.
   pure function relaxation_time(table) result(time)
     type(table_type), intent(in) :: table
     real(wp) :: time, radius
