@@ -476,7 +476,7 @@ def _read_lines(read_end: int, lines: list[str]) -> None:
     """Append what arrives in a pipe, until its end."""
     with open(read_end, encoding="utf-8", errors="replace") as pipe:
         for line in pipe:
-            lines.append(line)  # noqa: PERF402 (read elsewhere before the end)
+            lines.append(line)
 
 
 def _exit_code(process: subprocess.Popen[str]) -> int | None:

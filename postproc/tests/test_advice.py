@@ -234,10 +234,8 @@ def test_transients_are_as_long_as_numbers_take_from_equal_ones() -> None:
     discs = Circuit(1000, 7, scatterers=((0.0, 0.0, 0.001),))
     urn = Circuit(100, 7, channel2_width=0.0, shape="urn")
     for number, threshold, width in ((1036, 7, 0.01), (300, 3, 0.03), (20000, 200, 0.01)):
-        near = [
-            transients.number_time(Circuit(number, threshold, channel2_width=(1 + 1e-4 * k) * width))
-            for k in range(5)
-        ]
+        circuits = [Circuit(number, threshold, 0.3, (1 + 1e-4 * k) * width) for k in range(5)]
+        near = [transients.number_time(one) for one in circuits]
         assert near == pytest.approx([near[0]] * 5, rel=0.05)
     for one in (discs, urn, Circuit(1000, 0, channel2_width=0.0)):
         assert transients.of_chi(one, critical=False) == usual
