@@ -51,7 +51,6 @@ if TYPE_CHECKING:
     Floats = NDArray[np.float64]
 
 MARKS = ("o", "s", "^", "D", "v", "P")
-TIME_COLOURS = (style.BLUE, style.VERMILION, "", style.GREEN, style.PURPLE, style.ORANGE)  # "": ink
 PARAMETERS = ("number", "threshold", "channel1_width", "channel2_width")  # in titles
 MOST = 6  # points in a figure against time
 STEPS = 400  # places along the time axis
@@ -214,7 +213,7 @@ def draw_relaxation(
     label, _, _, field, possible = QUANTITIES[quantity]
     lines, latest, theories, changing = [], 0.0, set(), 0.0
     circuits, starts = points["circuit"].values, starts_of(points)
-    colours = [colour or style.ink() for colour in TIME_COLOURS]
+    colours = (style.BLUE, style.VERMILION, style.ink(), style.GREEN, style.PURPLE, style.ORANGE)
     for at, (circuit, colour) in enumerate(zip(circuits, colours, strict=False)):
         found, share = _binned_series(points, at, quantity, float(circuit.number) - starts[at], end)
         changing = max(changing, share)

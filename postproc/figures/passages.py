@@ -173,7 +173,7 @@ def figure_lifetimes(points: xr.Dataset, models: Sequence[Model] = ()) -> Figure
         draw_lifetimes(one, group, models)
         lowest = min(lowest, one.get_ylim()[0])
         width = f", {equals(WIDTH, key[2])}" if several else ""
-        one.set_title(f"$T = {key[0]:g}$, $l = {style.in_math(key[1], 6)}${width}")
+        one.set_title(f"$T = {style.in_math(key[0])}$, $l = {style.in_math(key[1], 6)}${width}")
         one.label_outer()
     axes[0].set_ylim(bottom=lowest)
     style.legend_above(made, *axes[0].get_legend_handles_labels(), 3)

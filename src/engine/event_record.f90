@@ -49,7 +49,7 @@ module battery_event_record
     integer(int64) :: collisions = 0
     !> Reversals of each gate, and particles reversed by both.
     integer(int64) :: reversals(2) = 0, bounce_backs = 0
-    !> Sum of |N1 - N2| over the states after each wall collision, and their number; only from
+    !> Sum of |N1 - N2| over the wall collisions, and their number; only from
     !> engines that process every collision.
     integer(int64) :: collision_spread_sum = 0, collisions_seen = 0
     !> The event log, if asked for.

@@ -361,7 +361,7 @@ contains
     integer :: n
 
     associate (o => observer, blocks => observer%blocks)
-      ! Four times the variance of N1: fewer than N particles where most are in one urn.
+      ! Four times the variance of N1, which is less than N if the urns are unequal.
       number = real(o%number, wp)*(1.0_wp - o%even_difference**2)
       n = blocks(of_difference)%count
       changes = sum((blocks(of_current1)%average(:n) + blocks(of_current2)%average(:n))**2) &

@@ -130,8 +130,7 @@ contains
     integer, parameter :: most_steps = 10000
     !> No u_n is above this, so that their sum is finite.
     real(dp), parameter :: enough = 1.0e100_dp
-    real(dp) :: width(2), radius(2), load, widths, sparse, before, round_length, back, &
-      u, total
+    real(dp) :: width(2), radius(2), load, widths, sparse, before, round_length, back, u, total
     integer :: step
 
     width = real(point%channel%width, dp)
