@@ -136,6 +136,7 @@ cd build/beside/$1
 ln -sfn ../../../$3 program
 ln -sfn ../../../../src library/src
 $(if $4,ln -sfn ../../../../$4 library/modules)
+flock .lock find . -maxdepth 4 -path '*/app/$1' ! -perm -u+x -delete
 flock .lock $(fpm) install --prefix $2 > $2/log 2>&1 || { cat $2/log; exit 1; }
 install $2/bin/$1 $(CURDIR)/$@
 endef

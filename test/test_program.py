@@ -285,6 +285,12 @@ def test_quiet(tmp_path: Path) -> None:
     assert "out.h5" in loud.stdout
 
 
+def test_small_numbers_have_digits_in_the_summary(tmp_path: Path) -> None:
+    """A width that no fixed number of decimals shows has an exponent."""
+    write(tmp_path, table={"channel2_width": "1.25e-7"})
+    assert " 1.2500E-07 " in run("case.nml", folder=tmp_path).stdout
+
+
 @pytest.fixture(scope="module")
 def scan(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Results of a scan of two points with two replicas."""
