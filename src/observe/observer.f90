@@ -50,6 +50,9 @@ module battery_observer
   !> most `equal_densities` times its variance.
   real(wp), parameter :: least_changes_of_number = 5.0_wp
   real(wp), parameter :: equal_densities = 16.0_wp
+  !> Least time that all particles together spent in the emptier half, in relaxation times: the
+  !> few of them that stay long decide.
+  real(wp), parameter :: least_stay = 30.0_wp
   !> The state counts as polarised if one gate reverses this many times as often as the other.
   integer(int64), parameter :: unlike = 10
 
@@ -344,7 +347,8 @@ contains
     associate (o => observer)
       ! The time of whole blocks, since the error is of these; averages are over `measured_time`.
       is_reliable = o%time/least_relaxations >= o%relaxation
-      if (which == of_chi) is_reliable = is_reliable .and. number_relaxed(o)
+      if (which == of_chi) is_reliable = is_reliable .and. number_relaxed(o) &
+        .and. time_in_emptier_half(o)/least_stay >= o%relaxation
       if (which /= of_chi .and. o%has_two_urns .and. o%channel2_open) &
         is_reliable = is_reliable .and. .not. may_circulate(o%reversals - o%transient_reversals)
       if ((which == of_current1 .or. which == of_current2) .and. o%has_two_urns) &
@@ -353,6 +357,13 @@ contains
       if (is_reliable) error = standard_error(o%blocks(which))
     end associate
   end function error_of
+
+  !> Time that the particles spent in the emptier half, summed over them, in the whole blocks.
+  pure real(wp) function time_in_emptier_half(observer) result(time)
+    type(observer_type), intent(in) :: observer
+
+    time = 0.5_wp*(real(observer%number, wp)*observer%time - observer%spread)
+  end function time_in_emptier_half
 
   !> Whether N1 had the time to relax, or is far from that of equal densities.
   pure logical function number_relaxed(observer)
