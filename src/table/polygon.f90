@@ -28,7 +28,7 @@ module battery_polygon
   public :: find_next_wall_in_polygon, reflect_in_polygon, reflect_overshoot_in_polygon, &
     locate_in_polygon, find_first_impact_in_polygon
   public :: find_next_side_robustly, reflect_from_side, boundary_state_type, state_on_side, &
-    has_returned
+    has_returned, add_with_rest
 
   !> Bound on the rounding error of a position on a side, in units of the table.
   real(wp), parameter :: rounding = 64.0_wp*epsilon(1.0_wp)
@@ -549,10 +549,11 @@ contains
     logical, intent(inout) :: meets_corner
     integer, parameter :: most_at_once = 10000
     integer(wall_kind) :: next
-    real(wp) :: wait
+    real(wp) :: wait, lost
     integer :: at_once
 
     hits = 0
+    lost = 0.0_wp
     at_once = 0
     do
       call find_next_wall_from_side(urn%polygon, side, x, y, ux, uy, next, wait)
@@ -563,12 +564,25 @@ contains
       at_once = merge(0, at_once + 1, wait > urn%polygon%tolerance)
       if (wait > rest .or. next < meets_wall .or. at_once > most_at_once) exit
       if (wait >= rest .and. .not. back) exit
-      rest = rest - wait
+      call add_with_rest(-wait, rest, lost)
       side = int(next)
       call reflect_from_side(urn%polygon, side, x, y, ux, uy)
       hits = hits + 1
     end do
   end subroutine continue_flight
+
+  !> Adds a step to a sum of many, whose rounding errors `lost` has (Kahan's summation): equal steps
+  !> would all be rounded in one direction.
+  elemental subroutine add_with_rest(step, total, lost)
+    real(wp), intent(in) :: step
+    real(wp), intent(inout) :: total, lost
+    real(wp) :: added, before
+
+    added = step + lost
+    before = total
+    total = before + added
+    lost = added - (total - before)
+  end subroutine add_with_rest
 
   !> Whether a straight path of a given length passes a corner or the end of an opening, or ends at
   !> one, within the distance `near`.

@@ -13,7 +13,8 @@ module battery_polygon_passages
   use battery_channel, only: channel1, channel2
   use battery_motion, only: slowest, least_across
   use battery_polygon, only: urn_shape_type, polygon_type, nearest_side, boundary_state_type, &
-    state_on_side, has_returned, find_next_side_robustly, reflect_from_side, longest_period
+    state_on_side, has_returned, find_next_side_robustly, reflect_from_side, longest_period, &
+    add_with_rest
   use battery_visits, only: visits_type, group_size, no_channel, truncated, many_hits, &
     longest_hits_time
   implicit none (type, external)
@@ -53,19 +54,19 @@ contains
     active = visits%count
     n = group_size*((active + group_size - 1)/group_size)
     call load_visits(n, visits%x, visits%y, visits%u_axial, visits%u_lateral, visits%px, &
-      visits%py, visits%zx, visits%zy, visits%steps, visits%first, visits%c, visits%slot)
+      visits%py, visits%zx, visits%zy, visits%steps, visits%first, visits%s, visits%c, visits%slot)
     do round = 1, most_marches
       if (active == 0) exit
       n = group_size*((active + group_size - 1)/group_size)
       ! Padding lanes of the last group: visits that have ended.
       visits%c(active + 1:n) = 0.0_wp
       call step_hits(urn, march_hits, size(side, 2), corner, side, n, visits%px, visits%py, &
-        visits%zx, visits%zy, visits%steps, visits%first, visits%c)
+        visits%zx, visits%zy, visits%steps, visits%first, visits%s, visits%c)
       call compact_active(urn, active, visits)
     end do
     do j = 1, active
       call continue_alone(urn, huge(1.0_wp), visits%px(j), visits%py(j), visits%zx(j), &
-        visits%zy(j), visits%first(j), visits%steps(j), state, ending)
+        visits%zy(j), visits%first(j), visits%s(j), visits%steps(j), state, ending)
       if (ending == channel1) then
         call store_exit(urn, visits, j)
       else
@@ -76,10 +77,11 @@ contains
   end subroutine compute_polygon_passages
 
   !> Copies the start of each visit: position, velocity set to length 1; no visit has ended.
-  pure subroutine load_visits(n, x, y, along, across, px, py, ux, uy, hits, length, flies, slot)
+  pure subroutine load_visits(n, x, y, along, across, px, py, ux, uy, hits, length, lost, flies, &
+    slot)
     integer, intent(in) :: n
     real(wp), intent(in) :: x(n), y(n), along(n), across(n)
-    real(wp), intent(out) :: px(n), py(n), ux(n), uy(n), hits(n), length(n), flies(n)
+    real(wp), intent(out) :: px(n), py(n), ux(n), uy(n), hits(n), length(n), lost(n), flies(n)
     integer, intent(out) :: slot(n)
     real(wp) :: norm
     integer :: j
@@ -92,6 +94,7 @@ contains
       uy(j) = norm*across(j)
       hits(j) = 0.0_wp
       length(j) = 0.0_wp
+      lost(j) = 0.0_wp
       flies(j) = 1.0_wp
       slot(j) = j
     end do
@@ -99,15 +102,18 @@ contains
 
   !> Moves each particle that has not left through `most_hits` hits.
   pure subroutine step_hits(urn, most_hits, sides, corner, side, n, px, py, ux, uy, hits, &
-    length, flies)
+    length, lost, flies)
     type(urn_shape_type), intent(in) :: urn
     integer, intent(in) :: most_hits, sides, n
     !> As `list_sides` makes them.
     real(wp), intent(in) :: corner(2, 0:sides), side(4, sides)
-    real(wp), intent(inout) :: px(n), py(n), ux(n), uy(n), hits(n), length(n)
+    real(wp), intent(inout) :: px(n), py(n), ux(n), uy(n), hits(n)
+    !> Length of the path, as a sum of two: the second has what rounding took from the first, always
+    !> in one direction where all steps are equal.
+    real(wp), intent(inout) :: length(n), lost(n)
     !> 1 until the visit ends, then 0.
     real(wp), intent(inout) :: flies(n)
-    real(wp), dimension(lanes) :: normal_x, normal_y, offset, half_opening
+    real(wp), dimension(lanes) :: normal_x, normal_y, offset, half_opening, added
     real(wp) :: half_openings(2)
     integer :: first, last, count, hit
 
@@ -115,6 +121,7 @@ contains
     do first = 1, n, lanes
       last = min(first + lanes - 1, n)
       count = last - first + 1
+      added = 0.0_wp
       do hit = 1, most_hits
         if (urn%polygon%convex) then
           call find_only_side(sides, corner, side, half_openings(channel1), &
@@ -125,8 +132,9 @@ contains
             px(first), py(first), ux(first), uy(first), normal_x, normal_y, offset, half_opening)
         end if
         call reflect_visits(count, normal_x, normal_y, offset, half_opening, px(first), py(first), &
-          ux(first), uy(first), hits(first), length(first), flies(first))
+          ux(first), uy(first), hits(first), added, flies(first))
       end do
+      call add_with_rest(added(:count), length(first:last), lost(first:last))
       call normalise_speeds(count, ux(first), uy(first))
     end do
   end subroutine step_hits
@@ -286,6 +294,7 @@ contains
     hits, length, flies)
     integer, intent(in) :: n
     real(wp), intent(in) :: normal_x(n), normal_y(n), offset(n), half_opening(n)
+    !> `length` increases by that of the step.
     real(wp), intent(inout) :: px(n), py(n), ux(n), uy(n), hits(n), length(n), flies(n)
     real(wp) :: outward, wait, moves, out, bounces, kick
     integer :: j
@@ -339,6 +348,7 @@ contains
         visits%zy(kept) = visits%zy(j)
         visits%steps(kept) = visits%steps(j)
         visits%first(kept) = visits%first(j)
+        visits%s(kept) = visits%s(j)
         visits%slot(kept) = visits%slot(j)
         visits%c(kept) = 1.0_wp
       else
@@ -364,7 +374,7 @@ contains
       *urn%width(channel)), visits%py(j))
     visits%u_axial(mine) = max(abs(visits%zx(j)), slowest)
     visits%u_lateral(mine) = visits%zy(j)
-    visits%length(mine) = visits%first(j)
+    visits%length(mine) = visits%first(j) + visits%s(j)
     visits%through(mine) = urn%length(channel)/visits%u_axial(mine)
     visits%hits(mine) = visits%hits(mine) + visits%steps(j)
     if (visits%steps(j) >= many_hits) call list_visit_with_many_hits(visits, mine)
@@ -388,12 +398,12 @@ contains
   !> Moves a particle from side to side until it reaches an opening, its boundary state recurs, or a
   !> part is complete; at most until its path is `longest` long. The states after 1, 2, 4, ... hits
   !> are stored; each is compared with those that follow it until the next one is stored.
-  pure subroutine continue_alone(urn, longest, x, y, ux, uy, length, steps, state, ending)
+  pure subroutine continue_alone(urn, longest, x, y, ux, uy, length, lost, steps, state, ending)
     type(urn_shape_type), intent(in) :: urn
     real(wp), intent(in) :: longest
     real(wp), intent(inout) :: x, y, ux, uy
-    !> Length of the path and number of hits, those before included.
-    real(wp), intent(inout) :: length, steps
+    !> Length of the path, a sum of two, and number of hits, those before included.
+    real(wp), intent(inout) :: length, lost, steps
     !> State after the last hit.
     type(boundary_state_type), intent(out) :: state
     !> `channel1` if the particle reaches any opening, `no_channel` if the state recurs, else
@@ -420,13 +430,14 @@ contains
         exit
       end if
       if (length + wait >= longest) then
-        x = x + ux*(longest - length)
-        y = y + uy*(longest - length)
+        wait = max(longest - length - lost, 0.0_wp)
+        x = x + ux*wait
+        y = y + uy*wait
         return
       end if
       x = x + ux*wait
       y = y + uy*wait
-      length = length + wait
+      call add_with_rest(wait, length, lost)
       if (abs(y) < urn%polygon%half_opening(side)) then
         ending = channel1
         return
@@ -460,8 +471,8 @@ contains
     real(wp), intent(out) :: position(2), velocity(2)
     !> Wall hits since the start.
     integer(int64), intent(out) :: hits
-    !> x, y, u_x, u_y, hits, length, and whether it flies, of each lane.
-    real(wp) :: lane(group_size, 7), before(group_size, 7)
+    !> x, y, u_x, u_y, hits, length as a sum of two, and whether it flies, of each lane.
+    real(wp) :: lane(group_size, 8), before(group_size, 8)
     real(wp) :: corner(2, 0:padded(urn%polygon)), side(4, padded(urn%polygon))
     type(boundary_state_type) :: state
     integer(int64) :: ending
@@ -469,26 +480,27 @@ contains
 
     before(:, 1:4) = spread([x, y, ux, uy], 1, group_size)
     call load_visits(group_size, before(:, 1), before(:, 2), before(:, 3), before(:, 4), &
-      lane(:, 1), lane(:, 2), lane(:, 3), lane(:, 4), lane(:, 5), lane(:, 6), lane(:, 7), slot)
+      lane(:, 1), lane(:, 2), lane(:, 3), lane(:, 4), lane(:, 5), lane(:, 6), lane(:, 7), &
+      lane(:, 8), slot)
     call list_sides(urn%polygon, size(side, 2), corner, side)
     do round = 1, most_marches
       before = lane
       call step_hits(urn, march_hits, size(side, 2), corner, side, group_size, lane(:, 1), &
-        lane(:, 2), lane(:, 3), lane(:, 4), lane(:, 5), lane(:, 6), lane(:, 7))
-      if (lane(1, 6) >= elapsed .or. .not. lane(1, 7) > 0.0_wp) exit
+        lane(:, 2), lane(:, 3), lane(:, 4), lane(:, 5), lane(:, 6), lane(:, 7), lane(:, 8))
+      if (lane(1, 6) >= elapsed .or. .not. lane(1, 8) > 0.0_wp) exit
     end do
     if (lane(1, 6) >= elapsed) then
       ! By the same call with fewer hits, since other code would round otherwise.
       do hit = march_hits - 1, 0, -1
         lane = before
         call step_hits(urn, hit, size(side, 2), corner, side, group_size, lane(:, 1), &
-          lane(:, 2), lane(:, 3), lane(:, 4), lane(:, 5), lane(:, 6), lane(:, 7))
+          lane(:, 2), lane(:, 3), lane(:, 4), lane(:, 5), lane(:, 6), lane(:, 7), lane(:, 8))
         if (lane(1, 6) < elapsed) exit
       end do
-      lane(1, 1:2) = lane(1, 1:2) + lane(1, 3:4)*(elapsed - lane(1, 6))
-    else if (lane(1, 7) > 0.0_wp) then
+      lane(1, 1:2) = lane(1, 1:2) + lane(1, 3:4)*max(elapsed - lane(1, 6) - lane(1, 7), 0.0_wp)
+    else if (lane(1, 8) > 0.0_wp) then
       call continue_alone(urn, elapsed, lane(1, 1), lane(1, 2), lane(1, 3), lane(1, 4), &
-        lane(1, 6), lane(1, 5), state, ending)
+        lane(1, 6), lane(1, 7), lane(1, 5), state, ending)
     end if
     position = lane(1, 1:2)
     velocity = lane(1, 3:4)
@@ -508,7 +520,7 @@ contains
     visits%y(mine) = state%arc_length
     visits%u_axial(mine) = state%ux
     visits%u_lateral(mine) = state%uy
-    visits%length(mine) = visits%first(j)
+    visits%length(mine) = visits%first(j) + visits%s(j)
     ! Time before its end at which the next part is due.
     visits%through(mine) = 0.5_wp*visits%first(j)
     visits%hits(mine) = visits%hits(mine) + visits%steps(j)

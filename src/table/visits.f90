@@ -82,7 +82,8 @@ module battery_visits
     integer, allocatable :: slot(:)
     !> In a disc: cosine and sine of the incidence, impact in the opening, number of impacts before
     !> it; for a particle that never leaves, -1 minus the number of impacts after which that was
-    !> found. In a polygon `c` is 1 until the visit ends, then 0; the others are not used.
+    !> found. In a polygon `c` is 1 until the visit ends, then 0, `s` has what rounding took from
+    !> `first`, and the others are not used.
     real(wp), allocatable :: c(:), s(:), hit_x(:), hit_y(:), impacts(:)
     !> In a disc: length until the first impact. In a polygon: length so far.
     real(wp), allocatable :: first(:)
