@@ -167,7 +167,7 @@ def by_point(data: xr.Dataset) -> xr.Dataset:
 
 
 def _two_states(points: xr.Dataset) -> NDArray[np.bool_]:
-    """Return where replicas are in two states: by `point_status`, or by their chi.
+    """Return where replicas are in two states: by `point_status`, or by their `_signed_chi`.
 
     The rule is that of the program, that the values form two groups with a small share of the
     variance within them. Of n replicas in one state this has a probability of about share**((n -
@@ -177,7 +177,7 @@ def _two_states(points: xr.Dataset) -> NDArray[np.bool_]:
     known = (points.get("point_status", xr.zeros_like(points["start"])) == TWO_STATES).values
     if "chi" not in points or points.sizes["replica"] == 1:
         return known & (points.sizes["replica"] > 1)
-    values = np.sort(points["chi"])  # NaN at the end
+    values = np.sort(_signed_chi(points))  # NaN at the end
     count = np.isfinite(values).sum(axis=1, keepdims=True)
     away = values - np.nansum(values, axis=1, keepdims=True) / np.maximum(count, 1)
     lower = np.arange(1, values.shape[1] + 1)
@@ -188,6 +188,20 @@ def _two_states(points: xr.Dataset) -> NDArray[np.bool_]:
     unlikely = np.maximum(share, 0.0) ** (0.5 * count[:, 0] - 1.0) < CHANCE
     apart = np.fmax.reduce(values, axis=1) - values[:, 0] > JUMP
     return known | ((count[:, 0] > 3) & (share < WITHIN) & unlikely & apart)
+
+
+def _signed_chi(points: xr.Dataset) -> Floats:
+    """Return chi; where urns or gates are unequal, with the sign of N1 - N2, as the program does.
+
+    The sign is that of the current through channel 2, compared with that along the polarity.
+    """
+    unlike = np.array([bool(one.unlike) for one in points["circuit"].values])[:, np.newaxis]
+    if not unlike.any() or not {"current2", "polarised_current"} <= {*points}:
+        return points["chi"].values
+    along = points["polarised_current"].values
+    known = unlike & (np.abs(along) > 0.0)
+    sign = points["current2"].values / np.where(known, along, 1.0)
+    return np.where(known, points["chi"].values * np.clip(sign, -1.0, 1.0), points["chi"].values)
 
 
 def keys_of(points: xr.Dataset) -> dict[str, NDArray[np.generic]]:

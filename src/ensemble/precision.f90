@@ -18,7 +18,7 @@ module battery_precision
     point_two_states, point_undecided
   implicit none (type, external)
   private
-  public :: decide_replicas, has_two_states, in_two_states, cut_between_groups
+  public :: decide_replicas, has_two_states, in_two_states, cut_between_groups, signed_chi
 
   !> Probability that a normal variable is less than one standard deviation above its mean.
   real(dp), parameter :: below_one = 0.841344746068543_dp
@@ -56,7 +56,7 @@ contains
     do p = 1, plan%point_count
       if (any(results%task_status(:n, p) /= task_complete)) cycle
       results%point_status(p) = point_two_states
-      if (has_two_states(results%average(:n, p, place(1)))) cycle
+      if (has_two_states(signed_chi(results, [(k, k=1, n)], p))) cycle
       do k = 1, 2
         associate (values => results%average(:n, p, place(k)))
           scatter(k) = factor*sqrt(sum((values - sum(values)/n)**2)/(n - 1))
@@ -71,7 +71,7 @@ contains
       end if
       associate (replicas => results%replicas_needed(p))
         if (any(results%task_status(:replicas, p) /= task_complete)) cycle
-        if (has_two_states(results%average(:replicas, p, place(1)))) then
+        if (has_two_states(signed_chi(results, [(k, k=1, replicas)], p))) then
           results%point_status(p) = point_two_states
         else
           results%replica_error(p, :) = [(error_of_mean(results%average(:replicas, p, place(k))), &
@@ -88,19 +88,35 @@ contains
     logical :: yes(size(results%point))
     real(dp), allocatable :: values(:)
     real(dp) :: fraction
-    integer :: p, chi
+    integer :: p, k
 
     yes = .false.
     if (allocated(results%point_status)) yes = results%point_status == point_two_states
-    chi = place_of('chi', real_quantities())
     do p = 1, size(yes)
-      values = pack(results%average(:, p, chi), results%task_status(:, p) == task_complete)
+      values = signed_chi(results, pack([(k, k=1, size(results%task_status, 1))], &
+        results%task_status(:, p) == task_complete), p)
       if (size(values) <= 3) cycle
       fraction = fraction_within(values)
       yes(p) = yes(p) .or. (fraction < within .and. fraction**(0.5_dp*size(values) - 1.0_dp) &
         < chance .and. maxval(values) - minval(values) > jump)
     end do
   end function in_two_states
+
+  !> chi of replicas of a point; if its urns or gates are unequal, with the sign of N1 - N2, since
+  !> states of opposite sign are no mirror images then. The sign is that of the current through
+  !> channel 2, compared with that along the polarity; in between if the polarity reverses.
+  function signed_chi(results, replicas, p) result(chi)
+    type(results_type), intent(in) :: results
+    !> Replicas, and the point.
+    integer, intent(in) :: replicas(:), p
+    real(dp) :: chi(size(replicas)), current(size(replicas)), polarised(size(replicas))
+
+    chi = results%average(replicas, p, place_of('chi', real_quantities()))
+    if (.not. results%unlike(p)) return
+    current = results%average(replicas, p, place_of('current2', real_quantities()))
+    polarised = results%average(replicas, p, place_of('polarised_current', real_quantities()))
+    where (abs(polarised) > 0.0_dp) chi = chi*min(max(current/polarised, -1.0_dp), 1.0_dp)
+  end function signed_chi
 
   !> Whether values form two separate groups, each of one value or more.
   logical function has_two_states(values) result(yes)

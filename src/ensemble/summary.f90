@@ -8,7 +8,7 @@ module battery_summary
   use battery_plan, only: plan_type, point_text, is_scanned, table_of
   use battery_table, only: channel1, channel2, relaxation_time
   use battery_tasks, only: task_count
-  use battery_precision, only: cut_between_groups, in_two_states
+  use battery_precision, only: cut_between_groups, in_two_states, signed_chi
   use battery_quantities, only: real_quantities, integer_quantities, place_of
   use battery_results, only: results_type, task_complete, task_not_asked, point_not_precise
   use battery_files, only: file_exists
@@ -255,22 +255,25 @@ contains
     logical, intent(in) :: two_states
     character(len=:), allocatable :: text
     !> Values of all that has a name, by replica.
-    real(dp), allocatable :: values(:, :), group(:)
+    real(dp), allocatable :: values(:, :), spread(:), group(:)
+    integer, allocatable :: complete(:)
     real(dp) :: mean, cut
     integer :: k
 
     text = ''
     associate (status => results%task_status(:, p))
-      values = results%average(pack([(k, k=1, size(status))], status == task_complete), p, &
-        places([(k, k=1, size(names))]))
+      complete = pack([(k, k=1, size(status))], status == task_complete)
+      values = results%average(complete, p, places([(k, k=1, size(names))]))
     end associate
     if (two_states) then
-      cut = cut_between_groups(values(:, chi))
+      spread = signed_chi(results, complete, p)
+      cut = cut_between_groups(spread)
       text = '   two states:'
       do k = 1, 2
-        group = pack(values(:, chi), (values(:, chi) > cut) .eqv. k == 2)
-        text = text//' chi = '//trim(adjustl(number_text(sum(group)/max(size(group), 1), 10, 5))) &
-          //' in '//to_text(size(group))//trim(merge(',', ' ', k == 1))
+        group = pack(spread, (spread > cut) .eqv. k == 2)
+        text = text//trim(merge(' (N1 - N2)/N', ' chi        ', results%unlike(p)))//' = '
+        text = text//trim(adjustl(number_text(sum(group)/max(size(group), 1), 10, 5)))//' in ' &
+          //to_text(size(group))//trim(merge(',', ' ', k == 1))
       end do
       return
     end if
