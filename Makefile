@@ -69,7 +69,7 @@ SOURCES := Makefile fpm.toml packaging/switches $(shell find src app -type f)
 RANKS   := 2
 FULL    ?= 0
 
-.PHONY: help demo test cluster build docs lint clean install prefix libraries information
+.PHONY: help demo test cluster build docs lint clean install prefix libraries place information
 
 help: ## lists the targets
 	@sed -nE 's/^([a-z]+):[^#]*## (.*)/make \1\t\2/p' $(filter-out build/%,$(MAKEFILE_LIST)) | expand -t 18
@@ -226,7 +226,7 @@ clean: ## removes everything made, the virtual environment too
 # What compiling needs is installed once, where that is allowed; the stamps remember that it is there.
 libraries: build/stamps/packages$(SUFFIX)
 
-build/stamps/packages$(SUFFIX): packaging/switches build/choices$(SUFFIX)
+build/stamps/packages$(SUFFIX): packaging/switches build/choices$(SUFFIX) | place
 	@mkdir -p build/stamps
 	if ! missing=$$(packaging/switches missing apt); then
 	  if [[ $$(id -u) == 0 ]]; then as_root=; else as_root='sudo -n'; fi
@@ -259,6 +259,16 @@ build/choices$(SUFFIX): FORCE
 	[[ -e $@.before ]] || cp $@ $@.before 2> /dev/null || : > $@.before
 	echo "$$said" > $@
 
+# In a checkout that was moved or copied: the files of its virtual environment name the old folder.
+place:
+	@file=$$(ls $(VENV)/lib/*/site-packages/battery.pth 2> /dev/null) && old=$$(cat "$$file") || exit 0
+	[[ "$$old" != '$(CURDIR)' ]] || exit 0
+	echo "Renaming $$old in $(VENV)"
+	grep -lIF "$$old/$(VENV)" $(VENV)/bin/* | xargs -r -d '\n' $(PYTHON) -c 'import fileinput, sys; \
+	  [print(line.replace(*sys.argv[1:3]), end="") for line in fileinput.input(sys.argv[3:], inplace=True)]' \
+	  "$$old" '$(CURDIR)'
+	echo '$(CURDIR)' > "$$file"
+
 $(abspath build/venv/bin/fpm): | build/stamps/packages$(SUFFIX)
 	@wanted=$$(grep '^fpm==' postproc/requirements.txt)
 	echo "Installing $$wanted in $(VENV)"
@@ -282,7 +292,7 @@ $(COMMANDS): build/stamps/python
 	chmod +x $@
 	# Beside the program, which names it in what it prints.
 	mkdir -p $(BUILT)/bin
-	ln -sf $(CURDIR)/$@ $(BUILT)/bin
+	ln -srf $@ $(BUILT)/bin
 
 # The git commit for src/interop/commit.c. fpm does not watch files that may not be there, so the object
 # that has it is removed when it changes; objects for another processor or compiler go as well.
