@@ -252,10 +252,10 @@ contains
   end function nearest_side
 
   !> Finds the side that a particle hits next, and the time `wait` until then. A particle on the
-  !> side `from` (0: on none) does not hit that side. Where a path runs along a side, rounding alone
-  !> says where it crosses it: then only that it does so between its corners is certain. A time
-  !> beyond them would put the side behind the particle, which then would hit nothing, or put the
-  !> hit outside. A path that enters a polygon before it leaves does not start inside: rounding in a
+  !> side `from` (0: on none) does not hit that side. Where a path runs nearly along a side, rounding
+  !> has much to say about where it crosses it: then only that it does so between its corners is
+  !> certain. A time beyond them would put the side behind the particle, which then would hit
+  !> nothing, or put the hit outside. A path that enters a polygon before it leaves does not start inside: rounding in a
   !> re-entrant corner has put the particle outside, and no side is found, or it would cross what
   !> lies between two parts of the urn.
   pure subroutine find_next_side(polygon, from, x, y, ux, uy, side, wait)
@@ -266,6 +266,8 @@ contains
     !> 0 if no side is found, which only rounding can cause.
     integer, intent(out) :: side
     real(wp), intent(out) :: wait
+    !> Sine of the angle below which a path runs nearly along a side.
+    real(wp), parameter :: shallow = 2.0_wp**(-6)
     real(wp), parameter :: golden = 0.5_wp*(sqrt(5.0_wp) - 1.0_wp)
     real(wp) :: before, after, time, enters, first, second
     logical :: inside
@@ -285,7 +287,7 @@ contains
       end if
       time = polygon%length_of(k)*((polygon%x(k) - x)*polygon%normal_x(k) &
         + (polygon%y(k) - y)*polygon%normal_y(k))/(after - before)
-      if (abs(after - before) < polygon%tolerance) then
+      if (abs(after - before) < shallow*polygon%length_of(k)) then
         first = ux*(polygon%x(k) - x) + uy*(polygon%y(k) - y)
         second = ux*(polygon%x(k + 1) - x) + uy*(polygon%y(k + 1) - y)
         time = min(max(time, min(first, second)), max(first, second))

@@ -6,8 +6,9 @@
 !> are vectorised. A particle that has reached an opening stays there. Every `march_hits` hits the
 !> visits that have not ended are moved to the front of the arrays (`compact_active`).
 !>
-!> A visit that has not ended after `most_marches` rounds is finished alone. If its boundary state
-!> recurs, it never ends; else it is truncated, to be continued later.
+!> A visit that has not ended after `most_marches` rounds is finished alone, and so is one whose path
+!> runs nearly along a side, at once: there the time of the hit must be bounded by the corners. If
+!> the boundary state of a visit recurs, it never ends; else it is truncated, to be continued later.
 module battery_polygon_passages
   use battery_kinds, only: wp, int64
   use battery_channel, only: channel1, channel2
@@ -33,8 +34,9 @@ module battery_polygon_passages
   real(wp), parameter :: least_part = 16.0_wp
   integer, parameter :: most_part_hits = 100000000
 
-  !> Cosine of the angle to the normal up to which a path runs along a side.
-  real(wp), parameter :: grazing = sqrt(epsilon(1.0_wp))
+  !> Cosine of the angle to the normal up to which a path runs nearly along a side: beyond it the
+  !> hit is right within 1e-12 of the reach.
+  real(wp), parameter :: grazing = 2.0_wp**(-12)
 
 contains
 
@@ -44,8 +46,6 @@ contains
     type(urn_shape_type), intent(in) :: urn
     type(visits_type), intent(inout) :: visits
     real(wp) :: corner(2, 0:padded(urn%polygon)), side(4, padded(urn%polygon))
-    type(boundary_state_type) :: state
-    integer(int64) :: ending
     integer :: active, n, j, round
 
     call list_sides(urn%polygon, padded(urn%polygon), corner, side)
@@ -62,16 +62,10 @@ contains
       visits%c(active + 1:n) = 0.0_wp
       call step_hits(urn, march_hits, size(side, 2), corner, side, n, visits%px, visits%py, &
         visits%zx, visits%zy, visits%steps, visits%first, visits%s, visits%c)
-      call compact_active(urn, active, visits)
+      call compact_active(urn, real(march_hits*round, wp), active, visits)
     end do
     do j = 1, active
-      call continue_alone(urn, huge(1.0_wp), visits%px(j), visits%py(j), visits%zx(j), &
-        visits%zy(j), visits%first(j), visits%s(j), visits%steps(j), state, ending)
-      if (ending == channel1) then
-        call store_exit(urn, visits, j)
-      else
-        call store_truncated(visits, j, state, ending)
-      end if
+      call finish_alone(urn, visits, j)
     end do
     visits%all_hits = sum(int(visits%hits(:visits%count), int64))
   end subroutine compute_polygon_passages
@@ -331,16 +325,21 @@ contains
     end do
   end subroutine normalise_speeds
 
-  !> Stores the visits that have ended, and compacts the arrays to the others.
-  pure subroutine compact_active(urn, active, visits)
+  !> Stores the visits that have ended, finishes those that did not move to the next side, and
+  !> compacts the arrays to the others.
+  pure subroutine compact_active(urn, hits, active, visits)
     type(urn_shape_type), intent(in) :: urn
+    !> Number of hits of a visit that is active and has always moved.
+    real(wp), intent(in) :: hits
     integer, intent(inout) :: active
     type(visits_type), intent(inout) :: visits
     integer :: j, kept
 
     kept = 0
     do j = 1, active
-      if (visits%c(j) > 0.0_wp) then
+      if (visits%c(j) > 0.0_wp .and. visits%steps(j) < hits) then
+        call finish_alone(urn, visits, j)
+      else if (visits%c(j) > 0.0_wp) then
         kept = kept + 1
         visits%px(kept) = visits%px(j)
         visits%py(kept) = visits%py(j)
@@ -357,6 +356,23 @@ contains
     end do
     active = kept
   end subroutine compact_active
+
+  !> Computes the rest of a visit that has not ended.
+  pure subroutine finish_alone(urn, visits, j)
+    type(urn_shape_type), intent(in) :: urn
+    type(visits_type), intent(inout) :: visits
+    integer, intent(in) :: j
+    type(boundary_state_type) :: state
+    integer(int64) :: ending
+
+    call continue_alone(urn, huge(1.0_wp), visits%px(j), visits%py(j), visits%zx(j), &
+      visits%zy(j), visits%first(j), visits%s(j), visits%steps(j), state, ending)
+    if (ending == channel1) then
+      call store_exit(urn, visits, j)
+    else
+      call store_truncated(visits, j, state, ending)
+    end if
+  end subroutine finish_alone
 
   !> Stores the end of a visit: the particle is in an opening, with a velocity that points outwards,
   !> and inside the walls of the channel, also where rounding has put it on one.
@@ -487,7 +503,8 @@ contains
       before = lane
       call step_hits(urn, march_hits, size(side, 2), corner, side, group_size, lane(:, 1), &
         lane(:, 2), lane(:, 3), lane(:, 4), lane(:, 5), lane(:, 6), lane(:, 7), lane(:, 8))
-      if (lane(1, 6) >= elapsed .or. .not. lane(1, 8) > 0.0_wp) exit
+      if (lane(1, 6) >= elapsed .or. .not. lane(1, 8) > 0.0_wp .or. lane(1, 5) &
+        < march_hits*round) exit
     end do
     if (lane(1, 6) >= elapsed) then
       ! By the same call with fewer hits, since other code would round otherwise.
