@@ -71,6 +71,8 @@ def phase_diagram(
     need_only(points, *keys)
     lines, marks = maps.of_theory(points, keys, asked(points, theory))
     axes = _axes(ax)
+    if look.get("norm") is not None:  # which has bounds of its own
+        own = {name: value for name, value in own.items() if name not in ("vmin", "vmax")}
     mesh = maps.draw_map(axes, points, keys, maps.map_of(points, keys, values), own | look)
     maps.draw_lines(axes, lines, marks)
     return mesh

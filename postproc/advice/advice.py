@@ -165,7 +165,7 @@ def namelist_of(
     given = {key: dict(value) for key, value in groups.items() if key in ("table", "gate")}
     particles = dict(groups["particles"])
     particles["urn1_number"] = start_of(groups, quantity)
-    particles["seed"] = length.pop("seed", 1)
+    particles.setdefault("seed", 1)
     if thresholds:
         given.pop("gate", None)
         scan["threshold"] = thresholds
@@ -270,7 +270,7 @@ def transition_of_runs(thresholds: Floats, chi: Floats) -> tuple[float, float]:
 
 
 def pilot(
-    groups: Groups, circuit: Circuit, quantity: str, tolerance: float, seed: int = 1,
+    groups: Groups, circuit: Circuit, quantity: str, tolerance: float,
     longest: float = math.inf,
 ) -> Pilot:  # fmt: skip
     """Make the pilot; repeat it with another transient or other thresholds if its result requires.
@@ -281,7 +281,7 @@ def pilot(
     transient, seconds = transients.of_chi(circuit, critical=quantity == "transition"), 0.0
     for _ in range(SHIFTS):
         length = {
-            "replicas": REPLICAS, "seed": seed, "transient_duration": transient,
+            "replicas": REPLICAS, "transient_duration": transient,
             "duration": (1.0 + MEASURED) * transient,
         }  # fmt: skip
         if math.isfinite(longest):

@@ -53,6 +53,7 @@ if TYPE_CHECKING:
 MARKS = ("o", "s", "^", "D", "v", "P")
 PARAMETERS = ("number", "threshold", "channel1_width", "channel2_width")  # in titles
 MOST = 6  # points in a figure against time
+HEAD = 38  # characters above a panel of flows
 STEPS = 400  # places along the time axis
 BRANCHES = ("chi", "polarised_current")  # what theories have, of a state
 WHOLE = (*THRESHOLDS, "number")  # keys between whose values there is nothing
@@ -109,7 +110,7 @@ def figure_flows(points: xr.Dataset, models: Sequence[Model] = ()) -> Figure:
         panels = draw_currents(made, cells[0, at], circuit, series, models, starts[at])
         replica = f", replica {first}" if points["asked"].values[at].sum() > 1 else ""
         letter = f"({chr(97 + at)})  " if count > 1 else ""
-        panels[0].set_title(letter + title(points, at) + replica)
+        panels[0].set_title(style.in_lines(letter + title(points, at) + replica, HEAD))
         for axes in panels if at > 0 else ():
             axes.set_ylabel("")
         if models:

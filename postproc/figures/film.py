@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import logging
+import math
 import os
 import subprocess
 from contextlib import suppress
@@ -103,6 +104,8 @@ class Stage:
     def __init__(self, scenes: Scenes) -> None:
         """Draw the fixed artists, and make those that move."""
         self.scenes = scenes
+        step = float(np.diff(scenes.times).min(initial=1.0))
+        self.decimals = max(2, 1 - math.floor(math.log10(step or 1.0)))
         self.figure: Figure = style.figure(8.0, 4.8)
         table_axes, below = self.figure.subplots(2, 1, height_ratios=(2.2, 1.0))
         draw_table(table_axes, scenes.circuit)
@@ -180,7 +183,7 @@ class Stage:
         first = int(np.count_nonzero(snapshot.x < 0.0))
         numbers = f"    $N_1 = {first}$    $N_2 = {snapshot.x.size - first}$"
         self.title.set_text(
-            f"$t = {time:.2f}$    $T = {scenes.circuit.thresholds}$"
+            f"$t = {time:.{self.decimals}f}$    $T = {scenes.circuit.thresholds}$"
             + numbers * (scenes.circuit.shape == "circuit")
         )
         self.now.set_xdata([time, time])

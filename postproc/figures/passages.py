@@ -168,14 +168,14 @@ def figure_lifetimes(points: xr.Dataset, models: Sequence[Model] = ()) -> Figure
     several = len({key[2] for key in panels}) > 1
     made = style.figure(max(2.6 * len(panels), 4.6), 3.7)
     axes = made.subplots(1, len(panels), squeeze=False, sharey=True)[0]
-    lowest = DRAWN[0]
+    lowest, highest = DRAWN
     for one, (key, group) in zip(axes, sorted(panels.items()), strict=True):
         draw_lifetimes(one, group, models)
-        lowest = min(lowest, one.get_ylim()[0])
+        lowest, highest = min(lowest, one.get_ylim()[0]), max(highest, one.get_ylim()[1])
         width = f", {equals(WIDTH, key[2])}" if several else ""
         one.set_title(f"$T = {style.in_math(key[0])}$, $l = {style.in_math(key[1], 6)}${width}")
         one.label_outer()
-    axes[0].set_ylim(bottom=lowest)
+    axes[0].set_ylim(lowest, highest)
     style.legend_above(made, *axes[0].get_legend_handles_labels(), 3)
     return made
 
@@ -214,8 +214,9 @@ def draw_lifetimes(
             [one.number for one in stayed], [one.time for one in stayed], "^", color=colour, mfc="w"
         )
     least = min(one.time for one in group)
+    most = max(max(one.time, one.high) if one.passages else one.time for one in group)
     axes.set(xlabel="$N$", yscale="log", ylabel="lifetime  (length / $v$)")
-    axes.set_ylim(min(DRAWN[0], 0.5 * least) or DRAWN[0], DRAWN[1])
+    axes.set_ylim(min(DRAWN[0], 0.5 * least) or DRAWN[0], max(DRAWN[1], 2.0 * most))
     style.ticks_at(axes, (one.number for one in group))
     _explain(axes, models)
     return drawn

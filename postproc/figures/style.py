@@ -162,6 +162,18 @@ def _fitted_legend(
         legend.remove()
 
 
+def in_lines(text: str, most: int) -> str:
+    """Return text, in which commas separate parts, in lines of at most that many characters."""
+    lines = [""]
+    for part in text.split(", "):
+        longer = f"{lines[-1]}, {part}" if lines[-1] else part
+        if not lines[-1] or len(longer.replace("$", "")) <= most:
+            lines[-1] = longer
+        else:
+            lines.append(part)
+    return ",\n".join(lines)
+
+
 @settings()
 def note(axes: Axes, text: str) -> None:
     """Write a small remark below the axes, on the right, e.g. that a run is partial."""
@@ -174,6 +186,7 @@ def save(made: Figure, folder: Path, name: str) -> list[Path]:
     """Write `name`.png and `name`.pdf into `folder`, print and return their paths."""
     output_folder(folder)
     paths = [file_to_write(folder / f"{name}.{kind}", kind) for kind in ABOUT]
+    made.draw_without_rendering()  # a layout has other ticks, whose labels the next one respects
     for path, about in zip(paths, ABOUT.values(), strict=True):
         drawn = io.BytesIO()
         made.savefig(drawn, format=path.suffix[1:], dpi=RESOLUTION, metadata=about)

@@ -72,7 +72,8 @@ ERRORS = "Cividis256"
 KEPT = ("version", "git_commit", "created", "status", "mpi_ranks", "mpi_library", "compiler")
 KNOWN = "Theory: the stable state that its drift reaches from the start of the runs."
 UNKNOWN = "Theories beside it would be of equal urns and gates, without scatterers: none is shown."
-SHOWN = ("number", "threshold", "channel1_width", "channel1_length", "channel2_width")
+SHOWN = ("number", "threshold", "channel1_width", "channel1_length", "channel2_width",
+         "channel2_length")  # fmt: skip
 LEFT_OUT = (
     "told",
     "left",

@@ -316,7 +316,10 @@ int battery_write_parts(const char *path, int64_t at, const CFI_cdesc_t *first, 
     status = battery_write_all(descriptor, part[k]->base_addr, bytes_of(part[k]));
     at += (int64_t)bytes_of(part[k]);
   }
-  AGAIN_AFTER_SIGNALS(result, ftruncate(descriptor, at));
+  // Of a file that is not longer this is not asked: smbnetfs does it, and says EIO.
+  struct stat now;
+  result = fstat(descriptor, &now);
+  if (result == 0 && now.st_size != at) AGAIN_AFTER_SIGNALS(result, ftruncate(descriptor, at));
   if (status == 0 && result != 0) status = errno;
   return close_file(descriptor) == 0 || status != 0 ? status : errno;
 }

@@ -14,9 +14,10 @@
 !> the page with the deviations of (1) from both.
 !>
 !> The fit, and so the use of (1), is for equal discs with equal gates, channels without scatterers,
-!> exact engines, T up to 20, w' up to w/12, l up to 3 r, and runs without an initial file: with a
-!> wider channel 2 (1) is several times too large, with a longer channel 1 too small. Otherwise,
-!> and if the balance has no polarised state, as near the transition of T, no remark is made.
+!> exact engines, T up to 20, w up to 0.9 r, w' up to w/12, l up to 3 r, l' up to 3 r**2/w, and runs
+!> without an initial file: with a wider channel, or a longer channel 2, (1) is several times too
+!> large, with a longer channel 1 too small. Otherwise, and if the balance has no polarised state,
+!> as near the transition of T, no remark is made.
 module battery_current_age
   use battery_kinds, only: wp, dp, int64, pi
   use battery_plan, only: plan_type, point_type, point_of, point_text, table_of
@@ -49,8 +50,9 @@ module battery_current_age
   !> The least chi of a state that counts as polarised.
   real(dp), parameter :: polarised = 0.3_dp
 
-  !> The largest w'/w and l/r at which (1) holds.
-  real(dp), parameter :: largest_widths = 1.0_dp/12.0_dp, largest_length = 3.0_dp
+  !> The largest w'/w, w/r, l/r and w l'/r**2 at which (1) holds.
+  real(dp), parameter :: largest_widths = 1.0_dp/12.0_dp, largest_width = 0.9_dp
+  real(dp), parameter :: largest_length = 3.0_dp, largest_product = 3.0_dp
 
   !> The largest threshold at which (1) was compared with theory; largest number of points examined.
   integer, parameter :: largest_threshold = 20, most_points = 1000
@@ -144,8 +146,10 @@ contains
       ! Number of particles in the sparse urn for which the current through channel 2 equals that of
       ! channel 1 in the other direction, by iteration from an empty urn; at most half of all.
       widths = width(channel2)/width(channel1)
-      if (max(widths/largest_widths, real(point%channel(channel1)%length, dp)/(largest_length &
-        *radius(1))) > 1.0_dp + 1.0e-12_dp) return
+      if (max(widths/largest_widths, width(channel1)/radius(1)/largest_width, &
+        real(point%channel(channel1)%length, dp)/radius(1)/largest_length, &
+        width(channel1)*real(point%channel(channel2)%length, dp)/radius(1)**2/largest_product) &
+        > 1.0_dp + 1.0e-12_dp) return
       sparse = 0.0_dp
       do step = 1, most_steps
         before = sparse

@@ -252,12 +252,12 @@ contains
   end function nearest_side
 
   !> Finds the side that a particle hits next, and the time `wait` until then. A particle on the
-  !> side `from` (0: on none) does not hit that side. Where a path runs nearly along a side, rounding
-  !> has much to say about where it crosses it: then only that it does so between its corners is
+  !> side `from` (0: on none) does not hit that side. Where a path runs nearly along a side,
+  !> rounding moves the place where it crosses it: then only that it does so between its corners is
   !> certain. A time beyond them would put the side behind the particle, which then would hit
-  !> nothing, or put the hit outside. A path that enters a polygon before it leaves does not start inside: rounding in a
-  !> re-entrant corner has put the particle outside, and no side is found, or it would cross what
-  !> lies between two parts of the urn.
+  !> nothing, or put the hit outside. A path that enters a polygon before it leaves does not start
+  !> inside: rounding in a re-entrant corner has put the particle outside, and no side is found, or
+  !> it would cross what lies between two parts of the urn.
   pure subroutine find_next_side(polygon, from, x, y, ux, uy, side, wait)
     type(polygon_type), intent(in) :: polygon
     integer, intent(in) :: from

@@ -6,9 +6,9 @@
 !> are vectorised. A particle that has reached an opening stays there. Every `march_hits` hits the
 !> visits that have not ended are moved to the front of the arrays (`compact_active`).
 !>
-!> A visit that has not ended after `most_marches` rounds is finished alone, and so is one whose path
-!> runs nearly along a side, at once: there the time of the hit must be bounded by the corners. If
-!> the boundary state of a visit recurs, it never ends; else it is truncated, to be continued later.
+!> A visit that has not ended after `most_marches` rounds is finished alone, and, at once, one whose
+!> path runs nearly along a side: there the time of the hit must be bounded by the corners. If the
+!> boundary state of a visit recurs, it never ends; else it is truncated, to be continued later.
 module battery_polygon_passages
   use battery_kinds, only: wp, int64
   use battery_channel, only: channel1, channel2
