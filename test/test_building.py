@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shutil
 import subprocess
+import sys
 from typing import TYPE_CHECKING
 
 import pytest
@@ -51,6 +52,21 @@ def switches(tools: Path, *words: str, **said: object) -> subprocess.CompletedPr
         [ROOT / "packaging/switches", *words], cwd=tools, env=environment, text=True,
         capture_output=True, check=False,
     )  # fmt: skip
+
+
+def test_a_copied_checkout_has_commands_of_its_own(tmp_path: Path) -> None:
+    """The commands of its virtual environment, and what that imports, are not those of the other."""
+    other, commands = tmp_path / "other", tmp_path / "build/venv/bin"
+    packages = tmp_path / "build/venv/lib/python3/site-packages"
+    for folder in (commands, packages):
+        folder.mkdir(parents=True)
+    (commands / "python").symlink_to(sys.executable)
+    script(commands / "tool", f"exec {other}/build/venv/bin/python")
+    (packages / "battery.pth").write_text(f"{other}\n", encoding="utf-8")
+    words = ["make", "-C", tmp_path, "-f", ROOT / "Makefile", "place"]
+    subprocess.run(words, check=True, capture_output=True)
+    assert (commands / "tool").read_text().endswith(f"exec {commands}/python\n")
+    assert (packages / "battery.pth").read_text() == f"{tmp_path}\n"
 
 
 def test_the_user_comes_before_wrappers_and_those_before_pkg_config(

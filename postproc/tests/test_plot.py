@@ -424,6 +424,19 @@ def test_chi_tells_two_states_where_the_program_was_not_asked(
     assert ["two states" in line.get_label() for line in lines] == [two, False]
 
 
+def test_states_of_unequal_urns_have_a_sign(tmp_path: Path) -> None:
+    """Chi of 0.7 in urn 1 and of 0.64 in urn 2 are two states; of equal urns it is one."""
+    means = []
+    for radius in ([1.0, 0.7], [1.0, 1.0]):
+        path = results_of(tmp_path / f"{radius[1]}.h5", table={"urn_radius": radius}, run=SHORT,
+                          scan={"threshold": 4, "replicas": 4})  # fmt: skip
+        with edited(path) as file:
+            file["chi"][0], file["polarised_current"][0] = [0.70, 0.64, 0.71, 0.63], 1.1
+            file["current2"][0] = [1.1, -1.1, 1.1, -1.1]
+        means.append(postproc.table(path)["chi"][0])
+    np.testing.assert_allclose(means, [math.nan, 0.67])
+
+
 def test_a_line_of_theory_is_broken_where_chi_jumps(tmp_path: Path) -> None:
     scan = {"channel2_width": [0.01, 0.05], "threshold": 2, "replicas": 1}
     path = results_of(tmp_path / "jump.h5", scan=scan, run={"duration": 20.0}, output=BARE,

@@ -14,7 +14,7 @@
 !> the page with the deviations of (1) from both.
 !>
 !> The fit, and so the use of (1), is for equal discs with equal gates, channels without scatterers,
-!> exact engines, T up to 20, w up to 0.9 r, w' up to w/12, l up to 3 r, l' up to 3 r**2/w, and runs
+!> exact engines, T up to 20, w up to 0.9 r, w' up to w/12, l up to 3 r, l' up to 6 r**2/w, and runs
 !> without an initial file: with a wider channel, or a longer channel 2, (1) is several times too
 !> large, with a longer channel 1 too small. Otherwise, and if the balance has no polarised state,
 !> as near the transition of T, no remark is made.
@@ -52,7 +52,7 @@ module battery_current_age
 
   !> The largest w'/w, w/r, l/r and w l'/r**2 at which (1) holds.
   real(dp), parameter :: largest_widths = 1.0_dp/12.0_dp, largest_width = 0.9_dp
-  real(dp), parameter :: largest_length = 3.0_dp, largest_product = 3.0_dp
+  real(dp), parameter :: largest_length = 3.0_dp, largest_product = 6.0_dp
 
   !> The largest threshold at which (1) was compared with theory; largest number of points examined.
   integer, parameter :: largest_threshold = 20, most_points = 1000
