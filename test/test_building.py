@@ -55,7 +55,7 @@ def switches(tools: Path, *words: str, **said: object) -> subprocess.CompletedPr
 
 
 def test_a_copied_checkout_has_commands_of_its_own(tmp_path: Path) -> None:
-    """The commands of its virtual environment, and what that imports, are not those of the other."""
+    """Commands of its virtual environment, and what that imports, are not those of the other."""
     other, commands = tmp_path / "other", tmp_path / "build/venv/bin"
     packages = tmp_path / "build/venv/lib/python3/site-packages"
     for folder in (commands, packages):
