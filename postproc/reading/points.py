@@ -45,6 +45,7 @@ ROUNDING = 1e-12  # numbers that differ by less, relative to the greatest, are e
 WITHIN = 0.1  # of the variance, most that two states have within them, as in precision.f90
 CHANCE = 1e-4  # of this order, probability that few replicas in one state look like two
 JUMP = 0.3  # of chi, least difference between two kinds of states
+CLEAR = 4.0  # over sqrt(N): chi that no fluctuations have
 #: Values of gate 2 and urn 2, scanned in pairs with those of 1.
 PAIRS = {"threshold2": "threshold", "urn_radius2": "urn_radius"}
 #: Keys that may be scanned in place of a parameter.
@@ -191,17 +192,22 @@ def _two_states(points: xr.Dataset) -> NDArray[np.bool_]:
 
 
 def _signed_chi(points: xr.Dataset) -> Floats:
-    """Return chi; where urns or gates are unequal, with the sign of N1 - N2, as the program does.
+    """Return chi; with the sign of N1 - N2 at points in polarised states that are no mirror images.
 
-    The sign is that of the current through channel 2, compared with that along the polarity.
+    The rule is that of the program: urns or gates are unequal, chi is clearly above 0, and the
+    fuller urn never changed, so that the current through channel 2 is that along the polarity, or
+    its negative.
     """
-    unlike = np.array([bool(one.unlike) for one in points["circuit"].values])[:, np.newaxis]
+    chi = points["chi"].values
+    unlike = np.array([bool(one.unlike) for one in points["circuit"].values])
     if not unlike.any() or not {"current2", "polarised_current"} <= {*points}:
-        return points["chi"].values
-    along = points["polarised_current"].values
-    known = unlike & (np.abs(along) > 0.0)
-    sign = points["current2"].values / np.where(known, along, 1.0)
-    return np.where(known, points["chi"].values * np.clip(sign, -1.0, 1.0), points["chi"].values)
+        return chi
+    current, along = points["current2"].values, points["polarised_current"].values
+    least = np.maximum(JUMP, CLEAR / np.sqrt(np.maximum(points["number"].values, 1)))
+    one_state = (chi > least[:, np.newaxis]) & (np.abs(along) > 0.0)
+    one_state &= np.abs(np.abs(current) - np.abs(along)) <= ROUNDING * np.abs(along)
+    signed = unlike & (one_state | np.isnan(chi)).all(axis=1)
+    return np.where(signed[:, np.newaxis], np.copysign(chi, current * along), chi)
 
 
 def keys_of(points: xr.Dataset) -> dict[str, NDArray[np.generic]]:

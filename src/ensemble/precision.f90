@@ -12,10 +12,12 @@ module battery_precision
   use battery_blocks, only: error_of_mean, rounding
   use battery_kinds, only: wp, dp
   use battery_gsl, only: student_quantile, sort_order
-  use battery_plan, only: plan_type
+  use battery_plan, only: plan_type, point_type, point_of, table_of
   use battery_quantities, only: real_quantities, place_of, unknown_real
   use battery_results, only: results_type, task_complete, point_precise, point_not_precise, &
     point_two_states, point_undecided
+  use battery_table, only: table_type
+  use battery_urn, only: are_mirror_images
   implicit none (type, external)
   private
   public :: decide_replicas, has_two_states, in_two_states, cut_between_groups, signed_chi
@@ -33,6 +35,9 @@ module battery_precision
   !> states differ by more than `jump`. Fewer than four show nothing. The same rule is in
   !> `postproc/reading/points.py`.
   real(dp), parameter :: chance = 1.0e-4_dp, jump = 0.3_dp
+
+  !> A chi above this over sqrt(N) is that of a polarised state, not of fluctuations.
+  real(dp), parameter :: clear = 4.0_dp
 
 contains
 
@@ -56,7 +61,7 @@ contains
     do p = 1, plan%point_count
       if (any(results%task_status(:n, p) /= task_complete)) cycle
       results%point_status(p) = point_two_states
-      if (has_two_states(signed_chi(results, [(k, k=1, n)], p))) cycle
+      if (has_two_states(signed_chi(plan, results, [(k, k=1, n)], p))) cycle
       do k = 1, 2
         associate (values => results%average(:n, p, place(k)))
           scatter(k) = factor*sqrt(sum((values - sum(values)/n)**2)/(n - 1))
@@ -71,7 +76,7 @@ contains
       end if
       associate (replicas => results%replicas_needed(p))
         if (any(results%task_status(:replicas, p) /= task_complete)) cycle
-        if (has_two_states(signed_chi(results, [(k, k=1, replicas)], p))) then
+        if (has_two_states(signed_chi(plan, results, [(k, k=1, replicas)], p))) then
           results%point_status(p) = point_two_states
         else
           results%replica_error(p, :) = [(error_of_mean(results%average(:replicas, p, place(k))), &
@@ -83,7 +88,8 @@ contains
 
   !> Whether the replicas of each point are in two states: as found when their number was decided,
   !> or by the chi of those that are complete.
-  function in_two_states(results) result(yes)
+  function in_two_states(plan, results) result(yes)
+    type(plan_type), intent(in) :: plan
     type(results_type), intent(in) :: results
     logical :: yes(size(results%point))
     real(dp), allocatable :: values(:)
@@ -93,7 +99,7 @@ contains
     yes = .false.
     if (allocated(results%point_status)) yes = results%point_status == point_two_states
     do p = 1, size(yes)
-      values = signed_chi(results, pack([(k, k=1, size(results%task_status, 1))], &
+      values = signed_chi(plan, results, pack([(k, k=1, size(results%task_status, 1))], &
         results%task_status(:, p) == task_complete), p)
       if (size(values) <= 3) cycle
       fraction = fraction_within(values)
@@ -102,20 +108,29 @@ contains
     end do
   end function in_two_states
 
-  !> chi of replicas of a point; if its urns or gates are unequal, with the sign of N1 - N2, since
-  !> states of opposite sign are no mirror images then. The sign is that of the current through
-  !> channel 2, compared with that along the polarity; in between if the polarity reverses.
-  function signed_chi(results, replicas, p) result(chi)
+  !> chi of replicas of a point. If its urns or gates are unequal, polarised states of opposite sign
+  !> are no mirror images: then it has the sign of N1 - N2, if each replica was in one such state.
+  !> The fuller urn never changed if the current through channel 2 is that along the polarity, or
+  !> its negative; the sign tells which it was.
+  function signed_chi(plan, results, replicas, p) result(chi)
+    type(plan_type), intent(in) :: plan
     type(results_type), intent(in) :: results
     !> Replicas, and the point.
     integer, intent(in) :: replicas(:), p
     real(dp) :: chi(size(replicas)), current(size(replicas)), polarised(size(replicas))
+    type(point_type) :: point
+    type(table_type) :: table
 
     chi = results%average(replicas, p, place_of('chi', real_quantities()))
-    if (.not. results%unlike(p)) return
+    point = point_of(plan, p)
+    table = table_of(plan, point)
+    if (table%urn_count == 1) return
+    if (are_mirror_images(table%urn) .and. point%threshold(1) == point%threshold(2)) return
     current = results%average(replicas, p, place_of('current2', real_quantities()))
     polarised = results%average(replicas, p, place_of('polarised_current', real_quantities()))
-    where (abs(polarised) > 0.0_dp) chi = chi*min(max(current/polarised, -1.0_dp), 1.0_dp)
+    if (all(chi > max(jump, clear/sqrt(real(point%number, dp))) .and. abs(polarised) > 0.0_dp &
+      .and. abs(abs(current) - abs(polarised)) <= rounding*abs(polarised))) &
+      chi = sign(chi, current*polarised)
   end function signed_chi
 
   !> Whether values form two separate groups, each of one value or more.

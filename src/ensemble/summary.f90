@@ -70,7 +70,7 @@ contains
     done = count(results%task_status == task_complete)
     call print_line(to_text(done)//' of '//to_text(count(results%task_status /= task_not_asked)) &
       //' tasks are complete')
-    call list_points(in_two_states(results), 'replicas fall into two states')
+    call list_points(in_two_states(plan, results), 'replicas fall into two states')
     if (allocated(results%point_status)) call list_points(results%point_status &
       == point_not_precise, 'the precision asks for more than largest_replicas')
     rate = rate_text(real(collisions, dp)/max(seconds, 1.0e-9_dp))//' collisions/s in ' &
@@ -120,10 +120,10 @@ contains
     if (plan%point_count <= most_rows .and. any(count(complete, dim=1) > 1)) then
       if (any(shown == polarised_current)) shown = pack(shown, shown <= polarised_current)
       call print_line(table_head('  replicas', shown)//'    (errors over replicas)')
-      two_states = in_two_states(results)
+      two_states = in_two_states(plan, results)
       do p = 1, plan%point_count
         if (count(complete(:, p)) > 1) call print_line(row_text(plan, results, p, &
-          count(complete(:, p)), means_text(results, p, shown, two_states(p))))
+          count(complete(:, p)), means_text(plan, results, p, shown, two_states(p))))
       end do
     end if
     if (task_count(plan) > most_rows .or. .not. any(lacks)) return
@@ -246,7 +246,8 @@ contains
 
   !> Text for the means over the complete replicas of a point, with errors from their scatter; where
   !> replicas fall into two states, for chi in both, in place of a mean that no replica has.
-  function means_text(results, p, shown, two_states) result(text)
+  function means_text(plan, results, p, shown, two_states) result(text)
+    type(plan_type), intent(in) :: plan
     type(results_type), intent(in) :: results
     integer, intent(in) :: p
     !> Places in `names`.
@@ -266,12 +267,12 @@ contains
       values = results%average(complete, p, places([(k, k=1, size(names))]))
     end associate
     if (two_states) then
-      spread = signed_chi(results, complete, p)
+      spread = signed_chi(plan, results, complete, p)
       cut = cut_between_groups(spread)
       text = '   two states:'
       do k = 1, 2
         group = pack(spread, (spread > cut) .eqv. k == 2)
-        text = text//trim(merge(' (N1 - N2)/N', ' chi        ', results%unlike(p)))//' = '
+        text = text//trim(merge(' (N1 - N2)/N', ' chi        ', any(spread < 0.0_dp)))//' = '
         text = text//trim(adjustl(number_text(sum(group)/max(size(group), 1), 10, 5)))//' in ' &
           //to_text(size(group))//trim(merge(',', ' ', k == 1))
       end do

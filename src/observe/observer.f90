@@ -18,6 +18,8 @@
 !> - for chi, near equal densities, if N1, whose variance is about N/4 there (less in unequal urns),
 !>   changed too little: in a relaxation time the squares of its changes in short times add up to
 !>   twice its variance;
+!> - for chi, if few particles came to the emptier half: those that stay long decide its mean, and a
+!>   run that lacks them does not show how much they matter;
 !> - for currents, in a polarised state in which the gate of the sparse urn hardly ever reverses:
 !>   particles that circulate along the axis carry part of the current until that gate reverses
 !>   them, so the run must have several such reversals;

@@ -8,7 +8,6 @@ module battery_results
   use battery_plan, only: plan_type, point_type, point_of, table_of
   use battery_table, only: table_type
   use battery_text, only: string_type
-  use battery_urn, only: are_mirror_images
   use battery_quantities, only: real_quantities, integer_quantities, unknown_real, unknown_count
   implicit none (type, external)
   private
@@ -29,8 +28,6 @@ module battery_results
   type :: results_type
     !> The points of the scan.
     type(point_type), allocatable :: point(:)
-    !> Whether the urns or the gates of each point are unequal.
-    logical, allocatable :: unlike(:)
     integer(int64), allocatable :: seed(:, :)
     !> The arrays from here on are (replica, point, place of the quantity in its list).
     real(dp), allocatable :: average(:, :, :), error(:, :, :)
@@ -59,7 +56,6 @@ contains
     integer, intent(in) :: points, replicas
 
     allocate (results%point(points), results%host(0))
-    allocate (results%unlike(points), source=.false.)
     allocate (results%failure(points*replicas))
     allocate (results%task_status(replicas, points), source=task_not_done)
     allocate (results%seed(replicas, points), source=unknown_count)
@@ -80,8 +76,6 @@ contains
       results%point(p) = point_of(plan, p)
       table = table_of(plan, results%point(p))
       results%point(p)%urn_radius = table%urn%radius
-      if (table%urn_count == 2) results%unlike(p) = .not. are_mirror_images(table%urn) &
-        .or. results%point(p)%threshold(1) /= results%point(p)%threshold(2)
     end do
   end subroutine set_points
 
