@@ -260,13 +260,15 @@ build/choices$(SUFFIX): FORCE
 	echo "$$said" > $@
 
 # In a checkout that was moved or copied: the files of its virtual environment name the old folder.
+# One that two checkouts share, by a link, stays that of the first.
 place:
 	@file=$$(ls $(VENV)/lib/*/site-packages/battery.pth 2> /dev/null) && old=$$(cat "$$file") || exit 0
-	[[ "$$old" != '$(CURDIR)' ]] || exit 0
+	[[ -n "$$old" && ! $(VENV) -ef "$$old/$(VENV)" ]] || exit 0
 	echo "Renaming $$old in $(VENV)"
 	grep -lIF "$$old/$(VENV)" $(VENV)/bin/* | xargs -r -d '\n' $(PYTHON) -c 'import fileinput, sys; \
 	  [print(line.replace(*sys.argv[1:3]), end="") for line in fileinput.input(sys.argv[3:], inplace=True)]' \
 	  "$$old" '$(CURDIR)'
+	[[ ! -d $(BUILT)/bin ]] || ln -srf $(COMMANDS) $(BUILT)/bin
 	echo '$(CURDIR)' > "$$file"
 
 $(abspath build/venv/bin/fpm): | build/stamps/packages$(SUFFIX)

@@ -67,6 +67,12 @@ def test_a_copied_checkout_has_commands_of_its_own(tmp_path: Path) -> None:
     subprocess.run(words, check=True, capture_output=True)
     assert (commands / "tool").read_text().endswith(f"exec {commands}/python\n")
     assert (packages / "battery.pth").read_text() == f"{tmp_path}\n"
+    linked = tmp_path / "linked"
+    (linked / "build").mkdir(parents=True)
+    (linked / "build/venv").symlink_to(tmp_path / "build/venv")
+    words[2] = linked
+    subprocess.run(words, check=True, capture_output=True)
+    assert (packages / "battery.pth").read_text() == f"{tmp_path}\n"
 
 
 def test_the_user_comes_before_wrappers_and_those_before_pkg_config(

@@ -113,6 +113,8 @@ def circuit_of(namelist: str | Path | Groups) -> tuple[Groups, Model]:
     start = particles.get("urn1_number") if share is None else _nearest(share * number)
     if start is not None:
         own["particles"]["urn1_number"] = start
+    if "seed" in particles:
+        own["particles"]["seed"] = particles["seed"]
     return own, circuit
 
 

@@ -5,7 +5,7 @@ pilot of the program, about a second at N = 1000, shows the scatter of replicas 
 theories; one that would take more than a minute is run only if --pilot-seconds allows it. The
 transient of the pilot of a current lasts until the part missing since circulations still build up
 is a quarter of the tolerance. The pilot is data: if it meets the tolerance its value (`expected`)
-is the answer, and cpu_seconds is 0 or that of a theory. It has the seed of the namelist.
+is the answer, and cpu_seconds is 0 or that of a theory. It has the seed of the namelist, if any.
 Runs begin with urn1_number or urn1_fraction of the namelist, else with a twentieth of the particles
 in urn 1 (for a transition three tenths), not with half of them as the program does.
 The last line, on standard error, is the advice in a sentence. `duration` includes the transient, as

@@ -185,15 +185,18 @@ def draw_lifetimes(
 ) -> list[ErrorbarContainer]:
     """Draw lifetimes of one T, l and w' against N; return what was measured."""
     drawn, group = [], sorted(group, key=lambda one: one.number)
+    least = min(min(one.time, one.low) if one.passages else one.time for one in group)
+    most = max(max(one.time, one.high) if one.passages else one.time for one in group)
+    lowest, highest = min(DRAWN[0], 0.5 * least) or DRAWN[0], max(DRAWN[1], 2.0 * most)
     states = ((False, "s", style.BLUE, "homogeneous"), (True, "o", style.VERMILION, "polarised"))
     for row, (polarised, mark, colour, name) in enumerate(states):
         part = [one for one in group if one.polarised == polarised]
         of_chains = part or [replace(one, polarised=polarised) for one in group]
-        beyond = _draw_chains(axes, of_chains, models, colour)
+        beyond = _draw_chains(axes, of_chains, models, colour, highest)
         said = [] if part else ["no runs"]
         if beyond:
             which = "chains" if len(beyond) == len(models) else ", ".join(beyond)
-            said.append(f"{which} above $10^{{{math.log10(DRAWN[1]):.0f}}}$")
+            said.append(f"{which} above $10^{{{math.log10(highest):.0f}}}$")
         if said:
             axes.text(0.03, 0.97 - 0.06 * row, f"{name}: {', '.join(said)}", va="top",
                       transform=axes.transAxes, color=colour, fontsize=6,
@@ -213,17 +216,15 @@ def draw_lifetimes(
         axes.plot(
             [one.number for one in stayed], [one.time for one in stayed], "^", color=colour, mfc="w"
         )
-    least = min(one.time for one in group)
-    most = max(max(one.time, one.high) if one.passages else one.time for one in group)
     axes.set(xlabel="$N$", yscale="log", ylabel="lifetime  (length / $v$)")
-    axes.set_ylim(min(DRAWN[0], 0.5 * least) or DRAWN[0], max(DRAWN[1], 2.0 * most))
+    axes.set_ylim(lowest, highest)
     style.ticks_at(axes, (one.number for one in group))
     _explain(axes, models)
     return drawn
 
 
 def _draw_chains(
-    axes: Axes, part: Sequence[Lifetime], models: Sequence[Model], colour: str
+    axes: Axes, part: Sequence[Lifetime], models: Sequence[Model], colour: str, highest: float
 ) -> list[str]:
     """Draw the chains of a state, of one N from edge to edge; return which are above the axis."""
     beyond = []
@@ -234,7 +235,7 @@ def _draw_chains(
             axes.plot([*times], [*times.values()], **look)
         else:
             axes.axhline(*times.values(), **look)
-        if all(one > DRAWN[1] for one in times.values()):
+        if all(one > highest for one in times.values()):
             beyond.append(model.label)
     return beyond
 

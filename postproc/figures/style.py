@@ -186,7 +186,7 @@ def save(made: Figure, folder: Path, name: str) -> list[Path]:
     """Write `name`.png and `name`.pdf into `folder`, print and return their paths."""
     output_folder(folder)
     paths = [file_to_write(folder / f"{name}.{kind}", kind) for kind in ABOUT]
-    made.draw_without_rendering()  # a layout has other ticks, whose labels the next one respects
+    made.draw_without_rendering()  # a layout changes ticks; the next one makes room for them
     for path, about in zip(paths, ABOUT.values(), strict=True):
         drawn = io.BytesIO()
         made.savefig(drawn, format=path.suffix[1:], dpi=RESOLUTION, metadata=about)

@@ -424,6 +424,14 @@ def test_chi_tells_two_states_where_the_program_was_not_asked(
     assert ["two states" in line.get_label() for line in lines] == [two, False]
 
 
+def test_a_norm_of_the_user_has_bounds_of_its_own(folder: Path) -> None:
+    for variable in plot.maps.LOOKS:
+        norm = mpl.colors.LogNorm(1e-6, 1e3)
+        mesh = plot.phase_diagram(postproc.open_results(folder / "map.h5"), variable=variable,
+                                  norm=norm, ax=Figure().add_subplot())  # fmt: skip
+        assert mesh.norm is norm
+
+
 def test_states_of_unequal_urns_have_a_sign(tmp_path: Path) -> None:
     """Chi of 0.7 in urn 1 and of 0.64 in urn 2 are two states; of equal urns it is one."""
     means = []

@@ -132,7 +132,8 @@ contains
       >= huge(1.0_wp))) then
       text = 'directions of motion never relax in these urns, or too slowly'
     else if (lacks(1)) then
-      text = 'the run is too short, or its slowest changes are by far its largest'
+      text = 'the run is too short, its slowest changes are by far its largest, or (chi) one urn ' &
+        //'is nearly empty'
     else
       text = 'the gate of the emptier urn reversed, or the polarity changed, too rarely'
     end if

@@ -316,7 +316,7 @@ int battery_write_parts(const char *path, int64_t at, const CFI_cdesc_t *first, 
     status = battery_write_all(descriptor, part[k]->base_addr, bytes_of(part[k]));
     at += (int64_t)bytes_of(part[k]);
   }
-  // Of a file that is not longer this is not asked: smbnetfs does it, and says EIO.
+  // Only where the file is longer: smbnetfs cuts it, but returns EIO.
   struct stat now;
   result = fstat(descriptor, &now);
   if (result == 0 && now.st_size != at) AGAIN_AFTER_SIGNALS(result, ftruncate(descriptor, at));

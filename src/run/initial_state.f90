@@ -246,9 +246,10 @@ contains
         //to_text(tiny(1.0_wp))
     else
       lost = maxval(abs(state(:2))) > far
-      ! A final state exactly on a wall may be beyond it by rounding.
-      if (.not. lost) lost = chamber_at(table, state(1), state(2), rounding*half_length(table)) &
-        == outside
+      ! A final state on a wall may be beyond it by rounding, in a polygon by its `tolerance`, which
+      ! is less than this.
+      if (.not. lost) lost = chamber_at(table, state(1), state(2), 2.0_wp*rounding &
+        *half_length(table)) == outside
       if (lost) then
         fault = of_place
         problem = 'lies outside the table: x = '//to_text(state(1))//', y = '//to_text(state(2))

@@ -281,9 +281,9 @@ contains
   end subroutine begin_side_search
 
   !> Moves each particle of a block to the side that it hits, and reflects it there unless it is in
-  !> an opening. A particle for which no side was found does not move. Nor does one that runs along
-  !> its side: there the time of the hit is a quotient of rounding errors, and it could pass the
-  !> corner at the end of the side; `continue_alone` bounds that time by the corners.
+  !> an opening. A particle for which no side was found does not move. Nor does one that runs
+  !> nearly along its side: rounding could put its hit beyond the corner at the end of the side;
+  !> `continue_alone` bounds the time of the hit by the corners.
   pure subroutine reflect_visits(n, normal_x, normal_y, offset, half_opening, px, py, ux, uy, &
     hits, length, flies)
     integer, intent(in) :: n
