@@ -76,7 +76,7 @@ def test_page_carries_everything(page: Path) -> None:
     assert re.findall(r'(?:src|href)="(?!data:)', outside) == []
     assert re.findall(r"<script[^>]* src=", text) == []
     assert "1 of 12 tasks have no results" in outside
-    assert "N = 1000, w = 0.3, l = 1, chi at the start = 0" in outside
+    assert "N = 1000, w = 0.3, l = 1, l&#39; = 1, chi at the start = 0" in outside
     assert len(text) < 3_000_000
     assert "Namelist of this point" in text
 
