@@ -53,7 +53,7 @@ if TYPE_CHECKING:
 MARKS = ("o", "s", "^", "D", "v", "P")
 PARAMETERS = ("number", "threshold", "channel1_width", "channel2_width")  # in titles
 MOST = 6  # points in a figure against time
-HEAD = 38  # characters above a panel of flows
+HEAD = 13.0  # characters above a panel of flows, per inch of its width
 STEPS = 400  # places along the time axis
 BRANCHES = ("chi", "polarised_current")  # what theories have, of a state
 WHOLE = (*THRESHOLDS, "number")  # keys between whose values there is nothing
@@ -102,7 +102,8 @@ def figure_flows(points: xr.Dataset, models: Sequence[Model] = ()) -> Figure:
         models = ()
     elif all(one.shape == "circuit" for one in circuits):
         models = models or defaults(points["circuit"].values)
-    made = style.figure(max(3.1 * count, 4.6), 5.4)
+    width = max(3.1 * count, 4.6)
+    made = style.figure(width, 5.4)
     cells = made.add_gridspec(1 + bool(models), count, height_ratios=(2.0, 1.0)[: 1 + bool(models)])
     for at, circuit in enumerate(circuits):
         first = int(points["complete"].values[at].argmax())
@@ -110,7 +111,8 @@ def figure_flows(points: xr.Dataset, models: Sequence[Model] = ()) -> Figure:
         panels = draw_currents(made, cells[0, at], circuit, series, models, starts[at])
         replica = f", replica {first}" if points["asked"].values[at].sum() > 1 else ""
         letter = f"({chr(97 + at)})  " if count > 1 else ""
-        panels[0].set_title(style.in_lines(letter + title(points, at) + replica, HEAD))
+        head = letter + title(points, at) + replica
+        panels[0].set_title(style.in_lines(head, int(HEAD * width / count)))
         for axes in panels if at > 0 else ():
             axes.set_ylabel("")
         if models:
