@@ -69,7 +69,7 @@ SOURCES := Makefile fpm.toml packaging/switches $(shell find src app -type f)
 RANKS   := 2
 FULL    ?= 0
 
-.PHONY: help demo test cluster build docs lint clean install prefix libraries place information
+.PHONY: help demo test cluster build docs lint clean install prefix libraries relocate information
 
 help: ## lists the targets
 	@sed -nE 's/^([a-z]+):[^#]*## (.*)/make \1\t\2/p' $(filter-out build/%,$(MAKEFILE_LIST)) | expand -t 18
@@ -226,7 +226,7 @@ clean: ## removes everything made, the virtual environment too
 # What compiling needs is installed once, where that is allowed; the stamps remember that it is there.
 libraries: build/stamps/packages$(SUFFIX)
 
-build/stamps/packages$(SUFFIX): packaging/switches build/choices$(SUFFIX) | place
+build/stamps/packages$(SUFFIX): packaging/switches build/choices$(SUFFIX) | relocate
 	@mkdir -p build/stamps
 	if ! missing=$$(packaging/switches missing apt); then
 	  if [[ $$(id -u) == 0 ]]; then as_root=; else as_root='sudo -n'; fi
@@ -261,7 +261,7 @@ build/choices$(SUFFIX): FORCE
 
 # In a checkout that was moved or copied: the files of its virtual environment name the old folder.
 # One that two checkouts share, by a link, stays that of the first.
-place:
+relocate:
 	@file=$$(ls $(VENV)/lib/*/site-packages/battery.pth 2> /dev/null) && old=$$(cat "$$file") || exit 0
 	[[ -n "$$old" && ! $(VENV) -ef "$$old/$(VENV)" ]] || exit 0
 	echo "Renaming $$old in $(VENV)"

@@ -63,7 +63,7 @@ def test_a_copied_checkout_has_commands_of_its_own(tmp_path: Path) -> None:
     (commands / "python").symlink_to(sys.executable)
     script(commands / "tool", f"exec {other}/build/venv/bin/python")
     (packages / "battery.pth").write_text(f"{other}\n", encoding="utf-8")
-    words = ["make", "-C", tmp_path, "-f", ROOT / "Makefile", "place"]
+    words = ["make", "-C", tmp_path, "-f", ROOT / "Makefile", "relocate"]
     subprocess.run(words, check=True, capture_output=True)
     assert (commands / "tool").read_text().endswith(f"exec {commands}/python\n")
     assert (packages / "battery.pth").read_text() == f"{tmp_path}\n"

@@ -7,6 +7,8 @@ from __future__ import annotations
 
 import io
 import logging
+import re
+import textwrap
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
@@ -163,15 +165,10 @@ def _fitted_legend(
 
 
 def in_lines(text: str, most: int) -> str:
-    """Return text, in which commas separate parts, in lines of at most that many characters."""
-    lines = [""]
-    for part in text.split(", "):
-        longer = f"{lines[-1]}, {part}" if lines[-1] else part
-        if not lines[-1] or len(longer.replace("$", "")) <= most:
-            lines[-1] = longer
-        else:
-            lines.append(part)
-    return ",\n".join(lines)
+    """Return text in lines of at most that many characters, broken after commas only."""
+    kept = re.sub("(?<!,) ", "\xa0", text)
+    lines = textwrap.fill(kept, most, break_long_words=False, break_on_hyphens=False)
+    return lines.replace("\xa0", " ")
 
 
 @settings()

@@ -45,7 +45,7 @@ ROUNDING = 1e-12  # numbers that differ by less, relative to the greatest, are e
 WITHIN = 0.1  # of the variance, most that two states have within them, as in precision.f90
 CHANCE = 1e-4  # of this order, probability that few replicas in one state look like two
 JUMP = 0.3  # of chi, least difference between two kinds of states
-CLEAR = 4.0  # over sqrt(N): chi that no fluctuations have
+FLUCTUATION = 4.0  # over sqrt(N): chi that no fluctuations have
 #: Values of gate 2 and urn 2, scanned in pairs with those of 1.
 PAIRS = {"threshold2": "threshold", "urn_radius2": "urn_radius"}
 #: Keys that may be scanned in place of a parameter.
@@ -203,7 +203,7 @@ def _signed_chi(points: xr.Dataset) -> Floats:
     if not unlike.any() or not {"current2", "polarised_current"} <= {*points}:
         return chi
     current, along = points["current2"].values, points["polarised_current"].values
-    least = np.maximum(JUMP, CLEAR / np.sqrt(np.maximum(points["number"].values, 1)))
+    least = np.maximum(JUMP, FLUCTUATION / np.sqrt(np.maximum(points["number"].values, 1)))
     one_state = (chi > least[:, np.newaxis]) & (np.abs(along) > 0.0)
     one_state &= np.abs(np.abs(current) - np.abs(along)) <= ROUNDING * np.abs(along)
     signed = unlike & (one_state | np.isnan(chi)).all(axis=1)

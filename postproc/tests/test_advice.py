@@ -162,8 +162,11 @@ def test_a_tolerance_or_time_that_is_not_allowed(name: str, value: object) -> No
 
 def test_advised_runs_start_as_the_namelist_says() -> None:
     for key, value in (("urn1_number", 30), ("urn1_fraction", 0.3)):
-        groups, _ = circuit_of({"particles": {"number": 100, key: value}, "gate": {"threshold": 2}})
+        particles = {"number": 100, key: value, "seed": 5}
+        groups, _ = circuit_of({"particles": particles, "gate": {"threshold": 2}})
         assert advice.start_of(groups, "chi") == 30
+        runs = advice.namelist_of(groups, "chi", None, {"replicas": 2})
+        assert runs["particles"] == {"number": 100, "urn1_number": 30, "seed": 5}
 
 
 def test_runs_have_the_error_that_was_wanted() -> None:

@@ -37,7 +37,7 @@ module battery_precision
   real(dp), parameter :: chance = 1.0e-4_dp, jump = 0.3_dp
 
   !> A chi above this over sqrt(N) is that of a polarised state, not of fluctuations.
-  real(dp), parameter :: clear = 4.0_dp
+  real(dp), parameter :: fluctuation = 4.0_dp
 
 contains
 
@@ -128,7 +128,8 @@ contains
     if (are_mirror_images(table%urn) .and. point%threshold(1) == point%threshold(2)) return
     current = results%average(replicas, p, place_of('current2', real_quantities()))
     polarised = results%average(replicas, p, place_of('polarised_current', real_quantities()))
-    if (all(chi > max(jump, clear/sqrt(real(point%number, dp))) .and. abs(polarised) > 0.0_dp &
+    if (all(chi > max(jump, fluctuation/sqrt(real(point%number, dp))) &
+      .and. abs(polarised) > 0.0_dp &
       .and. abs(abs(current) - abs(polarised)) <= rounding*abs(polarised))) &
       chi = sign(chi, current*polarised)
   end function signed_chi

@@ -28,7 +28,7 @@ module battery_polygon
   public :: find_next_wall_in_polygon, reflect_in_polygon, reflect_overshoot_in_polygon, &
     locate_in_polygon, find_first_impact_in_polygon
   public :: find_next_side_robustly, reflect_from_side, boundary_state_type, state_on_side, &
-    has_returned, add_with_rest
+    has_returned, add_compensated
 
   !> Bound on the rounding error of a position on a side, in units of the table.
   real(wp), parameter :: rounding = 64.0_wp*epsilon(1.0_wp)
@@ -566,7 +566,7 @@ contains
       at_once = merge(0, at_once + 1, wait > urn%polygon%tolerance)
       if (wait > rest .or. next < meets_wall .or. at_once > most_at_once) exit
       if (wait >= rest .and. .not. back) exit
-      call add_with_rest(-wait, rest, lost)
+      call add_compensated(-wait, rest, lost)
       side = int(next)
       call reflect_from_side(urn%polygon, side, x, y, ux, uy)
       hits = hits + 1
@@ -575,7 +575,7 @@ contains
 
   !> Adds a step to a sum of many, whose rounding errors `lost` has (Kahan's summation): equal steps
   !> would all be rounded in one direction.
-  elemental subroutine add_with_rest(step, total, lost)
+  elemental subroutine add_compensated(step, total, lost)
     real(wp), intent(in) :: step
     real(wp), intent(inout) :: total, lost
     real(wp) :: added, before
@@ -584,7 +584,7 @@ contains
     before = total
     total = before + added
     lost = added - (total - before)
-  end subroutine add_with_rest
+  end subroutine add_compensated
 
   !> Whether a straight path of a given length passes a corner or the end of an opening, or ends at
   !> one, within the distance `near`.

@@ -15,7 +15,7 @@ module battery_polygon_passages
   use battery_motion, only: slowest, least_across
   use battery_polygon, only: urn_shape_type, polygon_type, nearest_side, boundary_state_type, &
     state_on_side, has_returned, find_next_side_robustly, reflect_from_side, longest_period, &
-    add_with_rest
+    add_compensated
   use battery_visits, only: visits_type, group_size, no_channel, truncated, many_hits, &
     longest_hits_time
   implicit none (type, external)
@@ -128,7 +128,7 @@ contains
         call reflect_visits(count, normal_x, normal_y, offset, half_opening, px(first), py(first), &
           ux(first), uy(first), hits(first), added, flies(first))
       end do
-      call add_with_rest(added(:count), length(first:last), lost(first:last))
+      call add_compensated(added(:count), length(first:last), lost(first:last))
       call normalise_speeds(count, ux(first), uy(first))
     end do
   end subroutine step_hits
@@ -453,7 +453,7 @@ contains
       end if
       x = x + ux*wait
       y = y + uy*wait
-      call add_with_rest(wait, length, lost)
+      call add_compensated(wait, length, lost)
       if (abs(y) < urn%polygon%half_opening(side)) then
         ending = channel1
         return
