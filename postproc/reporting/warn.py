@@ -21,6 +21,7 @@ from postproc.reading.groups import each_series, snapshot_of
 from postproc.reading.points import current_name, means
 from postproc.theory import ports
 from postproc.theory.circuit import flow2
+from postproc.theory.circulation import circulating_at
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -33,7 +34,6 @@ if TYPE_CHECKING:
 UNLIKELY = 1e-4  # probability below which a difference is not taken for chance
 DRIFT = 5.0  # standard errors between two halves of a series
 EXCESS = 0.05  # of the net current over the one that chi explains
-CIRCULATION = 0.06  # of the net current, at T = 7 and w' = 0.01 and less elsewhere
 SPREAD = 0.3  # chi above which the current is compared: below, it scatters too much
 BLOCKS = 8
 FREEDOM = 3  # number of slowest components from which the error of a run is computed
@@ -80,25 +80,29 @@ def axial(circuit: Circuit, snapshot: Snapshot) -> int:
     return int(np.count_nonzero(~steep & (np.abs(snapshot.y) + reach < half)))
 
 
-def memory_factor(circuit: Circuit) -> float:
-    """Return the largest factor by which memory of the urns raises the net current at a chi.
+def memory_factor(circuit: Circuit, chi: float) -> float:
+    """Return the factor by which memory of the urns raises the net current at a chi.
 
-    It is the conductance of two ports over that of well mixed urns; circulation along the axis adds
-    `CIRCULATION`.
+    It is the conductance of two ports over that of well mixed urns, and what circulates along the
+    axis in a run without end.
     """
     if float(circuit.channel2_width) == 0.0:
         return 1.0
     mixed = ports.well_mixed(circuit).conductance
-    return max(ports.disc(circuit).conductance / mixed, 1.0) + CIRCULATION
+    spread = chi * float(circuit.number)
+    circulates = circulating_at(circuit, 0.5 * (float(circuit.number) + spread), math.inf)
+    memory = max(ports.disc(circuit).conductance / mixed, 1.0)
+    return memory + float(circulates) / float(flow2(circuit, spread))
 
 
 def warnings(points: xr.Dataset) -> list[str]:
     """Return the warnings of a run, one sentence each, as plain text."""
     found, excess, (moving, changing) = _unfinished(points), _excess(points), _of_series(points)
+    chi = means(points, "chi")[0]
     for at in np.flatnonzero(points["complete"].any("replica")):
         circuit = points["circuit"].values[at]
         told = _of_replicas(points.isel(point=at))
-        told += _of_current(circuit, *excess[:, at])
+        told += _of_current(circuit, chi[at], *excess[:, at])
         if at in moving:
             told.append("chi still moves while averages are taken, in replica "
                         f"{', '.join(moving[at])}: short transient.")  # fmt: skip
@@ -186,16 +190,16 @@ def _excess(points: xr.Dataset) -> Floats:
     return np.array([current / expected - 1.0, error / expected])
 
 
-def _of_current(circuit: Circuit, excess: float, error: float) -> list[str]:
+def _of_current(circuit: Circuit, chi: float, excess: float, error: float) -> list[str]:
     """Compare the net current with the one that chi and memory of the urns, discs, explain."""
-    if not excess > 0.0 or circuit.outline is not None:
+    if not excess > np.maximum(EXCESS, DRIFT * error) or circuit.outline is not None:
         return []
-    most = memory_factor(circuit) - 1.0
+    most = memory_factor(circuit, chi) - 1.0
     if not excess - most > np.maximum(EXCESS, DRIFT * error):  # or its error is not known
         return []
     return [
         f"the net current is {100.0 * excess:.0f} % more than the spread accounts for, and memory "
-        f"of the urns explains at most {100.0 * most:.0f} %: a circulation as long as the run, or "
+        f"of the urns explains about {100.0 * most:.0f} %: a circulation as long as the run, or "
         "flips of the polarity. More replicas tell."
     ]
 
