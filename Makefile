@@ -304,7 +304,9 @@ OBJECTS := build/*_[0-9A-F][0-9A-F][0-9A-F][0-9A-F][0-9A-F][0-9A-F]*
 
 build/generated/commit.h: FORCE | build/stamps/packages$(SUFFIX)
 	@mkdir -p build/generated
-	commit=$$(git describe --always --dirty --abbrev=40 --exclude='*' 2> /dev/null || echo unknown)
+	# Of this tree, and not of one around it; a hook of git names another one in its variables.
+	tree="--git-dir=.git --work-tree=."
+	commit=$$(git $$tree describe --always --dirty --abbrev=40 --exclude='*' 2> /dev/null || echo unknown)
 	new="#define BATTERY_COMMIT \"$$commit\""
 	# To another user, as root for whom make install is called, git may say nothing.
 	if [[ "$$new" != "$$(cat $@ 2> /dev/null)" && ! ( $$commit == unknown && -e .git && -e $@ ) ]]; then

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import hashlib
+import os
 import re
 import shutil
 import signal
+import struct
 import time
 from functools import partial
 from typing import TYPE_CHECKING, Any
@@ -35,6 +37,7 @@ from postproc.reporting.warn import explanations, warnings
 if TYPE_CHECKING:
     from pathlib import Path
 
+ACCESS_LIST = "system.posix_acl_access"
 CASE: dict[str, dict[str, Any]] = {
     "particles": {"number": 100},
     "gate": {"threshold": 2},
@@ -74,6 +77,18 @@ def test_grown_results_are_those_of_the_whole(
     assert_same(tmp_path / "grown/out.h5", tmp_path / "whole/out.h5")
 
 
+def access_list(path: Path) -> bytes:
+    """Let one more user read a file, and its group nothing; empty where there are no such lists."""
+    owner, user, group, mask, other = 0x01, 0x02, 0x04, 0x10, 0x20
+    entries = [(owner, 6, -1), (user, 4, 1001), (group, 0, -1), (mask, 4, -1), (other, 0, -1)]
+    listed = struct.pack("<I", 2) + b"".join(struct.pack("<HHi", *one) for one in entries)
+    try:
+        os.setxattr(path, ACCESS_LIST, listed)
+    except OSError:
+        return b""
+    return listed
+
+
 def test_finished_tasks_are_not_done_again(tmp_path: Path) -> None:
     """What a task took of a processor is what it took then; who may read the file is who might."""
     write(tmp_path)
@@ -81,12 +96,15 @@ def test_finished_tasks_are_not_done_again(tmp_path: Path) -> None:
     with h5py.File(tmp_path / "out.h5") as file:
         before = file["cpu_seconds"][()]
     (tmp_path / "out.h5").chmod(0o640)
+    listed = access_list(tmp_path / "out.h5")
     write(tmp_path, scan={"replicas": 5})
     complete(tmp_path)
     with h5py.File(tmp_path / "out.h5") as file:
         assert file["chi"].shape == (2, 5)
         np.testing.assert_array_equal(file["cpu_seconds"][:, :2], before)
     assert (tmp_path / "out.h5").stat().st_mode & 0o777 == 0o640
+    if listed:
+        assert os.getxattr(tmp_path / "out.h5", ACCESS_LIST) == listed
 
 
 def test_run_under_way_grows(tmp_path: Path) -> None:

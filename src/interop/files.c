@@ -15,6 +15,10 @@
 #include <sys/resource.h>
 #include <sys/stat.h>
 #include <unistd.h>
+#ifdef __linux__
+#include <linux/limits.h>
+#include <sys/xattr.h>
+#endif
 
 /* Number of the last error. */
 int battery_errno(void) { return errno; }
@@ -191,6 +195,19 @@ int battery_rename(const char *old, const char *new) {
   return status;
 }
 
+/* Gives a file the access control list of another, or none as that has none. Returns whether it has. With
+   a list, the group's bits of the mode are only a bound on the others'. */
+static int copy_access_list(const char *from, const char *to) {
+#ifdef __linux__
+  const char name[] = "system.posix_acl_access";
+  char list[XATTR_SIZE_MAX];
+  ssize_t size = getxattr(from, name, list, sizeof list);
+  if (size >= 0) return setxattr(to, name, list, (size_t)size, 0) == 0;
+  (void)!removexattr(to, name);
+#endif
+  return 1;
+}
+
 /* Renames a file to a name that no file has, or only the file with the given identity; -1: another
    file has it. */
 int battery_put_in_place(const char *old, const char *new, const int64_t seen[5]) {
@@ -211,7 +228,8 @@ int battery_put_in_place(const char *old, const char *new, const int64_t seen[5]
     /* Who may read it stays, but for a group that it cannot be given to; some file systems have no
        such modes. */
     mode_t mode = found.st_mode & 0777;
-    if (chown(old, found.st_uid, found.st_gid) != 0 && chown(old, (uid_t)-1, found.st_gid) != 0)
+    if ((chown(old, found.st_uid, found.st_gid) != 0 && chown(old, (uid_t)-1, found.st_gid) != 0)
+        || !copy_access_list(new, old))
       mode &= ~(mode_t)070;
     (void)!chmod(old, mode);
     return battery_rename(old, new);
