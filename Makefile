@@ -43,6 +43,9 @@ RELEASE_LINK  = $(call ask,link release)
 DEBUG_FLAGS   = $(call ask,compile debug)
 DEBUG_LINK    = $(call ask,link debug)
 
+# A setting for installing outside of environments would stop pip in this one.
+export PIP_USER := 0
+
 # fpm: what the user says, that of the virtual environment, that of the PATH, or pip installs one.
 fpm := $(abspath $(or $(shell command -v '$(FPM)'),$(FPM),$(wildcard build/venv/bin/fpm), \
        $(shell command -v fpm),build/venv/bin/fpm))

@@ -415,6 +415,17 @@ def test_stopped_on_the_way_to_a_precision(tmp_path: Path, precise: Path) -> Non
     assert_same(tmp_path / "out.h5", precise)
 
 
+def test_a_closed_channel_has_no_error_to_be_reached(tmp_path: Path) -> None:
+    for name, asked, status in (("polarised_current", 0.01, 0), ("chi", 1e-4, 1), ("chi", 0.5, 0)):
+        write(tmp_path, run={"duration": 20}, scan={"channel2_width": 0.0, "replicas": 16},
+              precision={f"{name}_replica_error": asked, "largest_replicas": 16})  # fmt: skip
+        (tmp_path / "out.h5").unlink(missing_ok=True)
+        said = complete(tmp_path)
+        assert ("asks for more than largest_replicas" in said) is bool(status)
+        with h5py.File(tmp_path / "out.h5") as file:
+            assert file["point_status"][()].tolist() == [status]
+
+
 @pytest.fixture(scope="module")
 def bistable(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
     """Give the results of a circuit that starts between two states that last, and what it said."""

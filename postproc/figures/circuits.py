@@ -301,7 +301,8 @@ def draw_curves(
     theories = _theory_looks(models, across)
     drawn, known = [], set()
     for at, (value, part) in enumerate(groups(points, *([other] if other else []))):
-        colour, mark = style.CYCLE[at % len(style.CYCLE)], MARKS[at % len(MARKS)]
+        turn, place = divmod(at, len(style.CYCLE))
+        colour, mark = style.CYCLE[place], MARKS[(place + turn) % len(MARKS)]
         group = part.sortby(across)
         places = (group["threshold"] / group["number"] if as_share else group[across]).values
         x, x_error = _means(group, against) if against else (places, None)

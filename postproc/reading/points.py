@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pandas as pd
 import xarray as xr
+from scipy import special
 
 from postproc.cli import InputError
 from postproc.theory.circuit import PAPERS_AGE, Circuit
@@ -43,7 +44,8 @@ TWO_STATES, UNDECIDED = 2, 3  # values of `point_status`
 OVER_REPLICAS = ("_spread", "_replica_error")
 ROUNDING = 1e-12  # numbers that differ by less, relative to the greatest, are equal
 WITHIN = 0.1  # of the variance, most that two states have within them, as in precision.f90
-CHANCE = 1e-4  # of this order, probability that few replicas in one state look like two
+CHANCE = 1e-3  # probability that few replicas in one state, normally distributed, look like two
+MANY = 20  # replicas from which it is always less
 JUMP = 0.3  # of chi, least difference between two kinds of states
 FLUCTUATION = 4.0  # over sqrt(N): chi that no fluctuations have
 #: Values of gate 2 and urn 2, scanned in pairs with those of 1.
@@ -171,9 +173,8 @@ def _two_states(points: xr.Dataset) -> NDArray[np.bool_]:
     """Return where replicas are in two states: by `point_status`, or by their `_signed_chi`.
 
     The rule is that of the program, that the values form two groups with a small share of the
-    variance within them. Of n replicas in one state this has a probability of about share**((n -
-    2)/2), which for less than ten is not small: then the share must be less, and fewer than four
-    show nothing.
+    variance within them. For one division of n normal values the share has the beta distribution of
+    (n - 2)/2 and 1/2, and there are 2**(n - 1) - 1 divisions. Fewer than four show nothing.
     """
     known = (points.get("point_status", xr.zeros_like(points["start"])) == TWO_STATES).values
     if "chi" not in points or points.sizes["replica"] == 1:
@@ -186,9 +187,10 @@ def _two_states(points: xr.Dataset) -> NDArray[np.bool_]:
     taken = np.nancumsum(away, axis=1) ** 2 * count / (lower * np.maximum(count - lower, 1))
     squares = np.nansum(away**2, axis=1)
     share = 1.0 - taken.max(axis=1) / np.where(squares > ROUNDING, squares, math.inf)
-    unlikely = np.maximum(share, 0.0) ** (0.5 * count[:, 0] - 1.0) < CHANCE
+    few = np.clip(count[:, 0], 4, MANY)
+    by_chance = 2.0 ** (few - 1) * special.betainc(0.5 * few - 1.0, 0.5, np.clip(share, 0.0, 1.0))
     apart = np.fmax.reduce(values, axis=1) - values[:, 0] > JUMP
-    return known | ((count[:, 0] > 3) & (share < WITHIN) & unlikely & apart)
+    return known | ((count[:, 0] > 3) & (share < WITHIN) & (by_chance < CHANCE) & apart)
 
 
 def _signed_chi(points: xr.Dataset) -> Floats:

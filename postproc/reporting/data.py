@@ -72,9 +72,9 @@ def scanned(points: xr.Dataset) -> Scan:
     """Return the scan; T is the horizontal axis of maps and w' the vertical one, if scanned."""
     keys = keys_of(points)
     across, up = axes_of(list(keys))
-    shown = {name: places(points, name) for name in keys}
+    shown = {name: rounded_apart(places(points, name)) for name in keys}
     names = with_first([*keys, *second_values(points)])
-    unequal = {name: points[name].values for name in names if name not in keys}
+    unequal = {name: rounded_apart(points[name].values) for name in names if name not in keys}
     return Scan(shown, across or next(iter(keys), ""), up, unequal)  # starts alone
 
 
@@ -88,13 +88,30 @@ def rounded(values: Floats, digits: int = 5) -> Floats:
     return np.array([float(f"{value:.{digits}g}") for value in np.ravel(values)])
 
 
+def rounded_apart(values: NDArray[np.generic]) -> NDArray[np.generic]:
+    """Return values rounded to the fewest digits, five or more, at which they stay different."""
+    if values.dtype.kind == "i":
+        return values
+    different = np.unique(values).size
+    digits = next(digits for digits in range(5, 18)
+                  if np.unique(rounded(values, digits)).size == different)  # fmt: skip
+    return rounded(values, digits)
+
+
+def _to_error(value: float, error: float) -> float:
+    """Return a value to three digits of its error; with ten where that is not known, or tiny."""
+    if error > 0.0:
+        value = round(value, 2 - math.floor(math.log10(error))) + 0.0  # no -0
+    return float(f"{value:.10g}")
+
+
 def points_of(points: xr.Dataset, scan: Scan, models: dict[str, Model]) -> Columns:
     """Return the columns of the points: keys, measured values and errors, theory, their text."""
-    columns = {name: values if values.dtype.kind == "i" else rounded(values)
-               for name, values in (scan.keys | scan.unequal).items()}  # fmt: skip
+    columns = scan.keys | scan.unequal
     columns["start"], found = rounded(points["start"].values), table(points, theory=list(models))
     for name, source in (("chi", "chi"), ("current", current_name(points))):
-        columns[name] = rounded(found[source], 10)  # the error may be of the seventh
+        pairs = zip(found[source], found[f"{source}_error"], strict=True)
+        columns[name] = np.array([_to_error(*pair) for pair in pairs])
         columns[f"{name}_error"] = rounded(found[f"{source}_error"], 2)
         columns |= {f"{model}_{name}": rounded(found[f"{model}_{source}"]) for model in models
                     if f"{model}_{source}" in found}  # fmt: skip
@@ -121,7 +138,7 @@ def points_of(points: xr.Dataset, scan: Scan, models: dict[str, Model]) -> Colum
 
 def _summary(scan: Scan, columns: Columns, at: int, *, apart: bool) -> str:
     """Return the line about a point: its keys and measured values, or that replicas are apart."""
-    place = [f"{SYMBOLS.get(name, name)} = {style.brief(columns[name][at], 5)}"
+    place = [f"{SYMBOLS.get(name, name)} = {style.brief(columns[name][at], 15)}"
              for name in scan.keys | scan.unequal]  # fmt: skip
     known = ((name, columns[name][at], columns[f"{name}_error"][at]) for name in MEASURED)
     found = [f"{name} {with_error(*values, ' (error not known)')}"
@@ -139,10 +156,12 @@ def map_lines(points: xr.Dataset, scan: Scan, models: dict[str, Model]) -> Colum
     rows: list[dict[str, object]] = []
     drawn = scan.up and not any(one.beyond_theory or one.shape != "circuit"
                                 for one in points["circuit"].values)  # fmt: skip
+    # As at the points, so that a selector finds both.
+    shown = {name: dict(zip(points[name].values, scan.keys[name], strict=True))
+             for name in scan.others}  # fmt: skip
     find = _transition if has_lines((scan.across, scan.up)) else _between
     for values, part in groups(points, *scan.others) if drawn else ():
-        # As at the points, so that a selector finds both.
-        chosen = {name: rounded(value)[0] for name, value in values.items()}
+        chosen = {name: shown[name][value] for name, value in values.items()}
         for model in models.values():
             for across, up in find(part, scan, model):
                 rows.append({"xs": across, "ys": up, "dash": dash(model), **chosen})

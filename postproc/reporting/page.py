@@ -347,12 +347,13 @@ class Page:
         values: Floats,
     ) -> figure:  # fmt: skip
         known = values[np.isfinite(values)]
+        low, high = known.min(initial=0.0), known.max(initial=0.0)
         many = self.given.sizes["replica"] > MOST
         made = self._figure(
             f"series_{name}",
             f"{title} (orange: mean and standard deviation of replicas)" if many else title,
             x_range=(0.0, time[-1]),
-            y_range=(known.min(initial=0.0), known.max(initial=1.0)),
+            y_range=(low, 1.0 if name == "spread" or low == high else high),
         )
         made.height, made.xaxis.axis_label = 240, "time t (length / v)"
         made.multi_line("time", name, source=shown, line_color="colour", line_width="width",

@@ -17,8 +17,10 @@ from scipy import stats
 
 from postproc.cli import InputError
 from postproc.figures.circuits import CHANGING, TOO_LONG, changes_within
+from postproc.figures.style import brief
 from postproc.reading.groups import each_series, snapshot_of
-from postproc.reading.points import current_name, means
+from postproc.reading.points import current_name, keys_of, means, second_values, with_first
+from postproc.reporting.data import SYMBOLS, rounded_apart
 from postproc.theory import ports
 from postproc.theory.circuit import flow2
 from postproc.theory.circulation import circulating_at
@@ -99,6 +101,8 @@ def warnings(points: xr.Dataset) -> list[str]:
     """Return the warnings of a run, one sentence each, as plain text."""
     found, excess, (moving, changing) = _unfinished(points), _excess(points), _of_series(points)
     chi = means(points, "chi")[0]
+    named = ["threshold", "channel2_width", "number", *keys_of(points), *second_values(points)]
+    places = {name: rounded_apart(points[name].values) for name in with_first(named)}
     for at in np.flatnonzero(points["complete"].any("replica")):
         circuit = points["circuit"].values[at]
         told = _of_replicas(points.isel(point=at))
@@ -106,7 +110,8 @@ def warnings(points: xr.Dataset) -> list[str]:
         if at in moving:
             told.append("chi still moves while averages are taken, in replica "
                         f"{', '.join(moving[at])}: short transient.")  # fmt: skip
-        name = f"T = {circuit.thresholds}, w' = {circuit.channel2_width:.4g}, N = {circuit.number}"
+        name = ", ".join(f"{SYMBOLS.get(key, key)} = {brief(values[at], 15)}"
+                         for key, values in places.items())  # fmt: skip
         found += [f"{name}: {text}" for text in told]
     if coarse := np.count_nonzero(changing > CHANGING):
         told_of = f"At {coarse} of {changing.size} points {TOO_LONG.format(changing.max())}."

@@ -424,6 +424,14 @@ def test_chi_tells_two_states_where_the_program_was_not_asked(
     assert ["two states" in line.get_label() for line in lines] == [two, False]
 
 
+def test_more_series_than_colours_look_different(tmp_path: Path) -> None:
+    scan = {"threshold": [1, 2], "number": [10 * (one + 1) for one in range(14)], "replicas": 1}
+    path = results_of(tmp_path / "many.h5", scan=scan, run=SHORT, particles={"number": None})
+    lines = [one.lines[0] for one in plot.curves(postproc.open_results(path), variable="chi",
+             ax=Figure().add_subplot())]  # fmt: skip
+    assert len({(one.get_color(), one.get_marker()) for one in lines}) == len(lines) == 14
+
+
 def test_a_norm_of_the_user_has_bounds_of_its_own(folder: Path) -> None:
     for variable in plot.maps.LOOKS:
         norm = mpl.colors.LogNorm(1e-6, 1e3)

@@ -11,7 +11,7 @@ module battery_precision
   use, intrinsic :: iso_c_binding, only: c_size_t
   use battery_blocks, only: error_of_mean, rounding
   use battery_kinds, only: wp, dp
-  use battery_gsl, only: student_quantile, sort_order
+  use battery_gsl, only: student_quantile, beta_below, sort_order
   use battery_plan, only: plan_type, point_type, point_of, table_of
   use battery_quantities, only: real_quantities, place_of, unknown_real
   use battery_results, only: results_type, task_complete, point_precise, point_not_precise, &
@@ -30,11 +30,13 @@ module battery_precision
   !> single normal distribution, cut in two, has 36 % within, a uniform one 25 %.
   real(dp), parameter :: within = 0.1_dp
 
-  !> Where no precision is required, replicas may be few. Of n in one state that fraction is below x
-  !> with a probability of about x**((n - 2)/2), which must be below `chance`; and the chi of two
-  !> states differ by more than `jump`. Fewer than four show nothing. The same rule is in
+  !> Of few replicas chance makes groups. For one division of n normal values that fraction has the
+  !> beta distribution of (n - 2)/2 and 1/2, and there are 2**(n - 1) - 1 divisions: the probability
+  !> of all together must be below `chance`, as it is from `many` replicas on. The chi of two states
+  !> differ by more than `jump`. Fewer than four show nothing. The same rule is in
   !> `postproc/reading/points.py`.
-  real(dp), parameter :: chance = 1.0e-4_dp, jump = 0.3_dp
+  real(dp), parameter :: chance = 1.0e-3_dp, jump = 0.3_dp
+  integer, parameter :: many = 20
 
   !> A chi above this over sqrt(N) is that of a polarised state, not of fluctuations.
   real(dp), parameter :: fluctuation = 4.0_dp
@@ -48,7 +50,7 @@ contains
     type(results_type), intent(inout) :: results
     real(dp) :: factor, scatter(2), needed
     integer :: place(2), n, p, k
-    logical :: asked(2)
+    logical :: asked(2), known(2)
 
     n = plan%first_replicas
     allocate (results%replicas_needed(plan%point_count), source=n)
@@ -68,12 +70,12 @@ contains
         end associate
       end do
       results%point_status(p) = point_not_precise
-      ! Without channel 2 its current is NaN, and more replicas do not help.
-      if (.not. any(asked .and. ieee_is_nan(scatter))) then
-        needed = maxval((scatter/merge(real(plan%precision, dp), 1.0_dp, asked))**2, asked)
-        if (needed <= plan%replicas) results%point_status(p) = point_precise
-        results%replicas_needed(p) = max(n, ceiling(min(needed, real(plan%replicas, dp))))
-      end if
+      ! Without channel 2 its current is NaN, and has no error to be reached.
+      known = asked .and. .not. ieee_is_nan(scatter)
+      needed = max(0.0_dp, maxval((scatter/merge(real(plan%precision, dp), 1.0_dp, known))**2, &
+        known))
+      if (needed <= plan%replicas) results%point_status(p) = point_precise
+      results%replicas_needed(p) = max(n, ceiling(min(needed, real(plan%replicas, dp))))
       associate (replicas => results%replicas_needed(p))
         if (any(results%task_status(:replicas, p) /= task_complete)) cycle
         if (has_two_states(signed_chi(plan, results, [(k, k=1, replicas)], p))) then
@@ -92,19 +94,13 @@ contains
     type(plan_type), intent(in) :: plan
     type(results_type), intent(in) :: results
     logical :: yes(size(results%point))
-    real(dp), allocatable :: values(:)
-    real(dp) :: fraction
     integer :: p, k
 
     yes = .false.
     if (allocated(results%point_status)) yes = results%point_status == point_two_states
     do p = 1, size(yes)
-      values = signed_chi(plan, results, pack([(k, k=1, size(results%task_status, 1))], &
-        results%task_status(:, p) == task_complete), p)
-      if (size(values) <= 3) cycle
-      fraction = fraction_within(values)
-      yes(p) = yes(p) .or. (fraction < within .and. fraction**(0.5_dp*size(values) - 1.0_dp) &
-        < chance .and. maxval(values) - minval(values) > jump)
+      yes(p) = yes(p) .or. has_two_states(signed_chi(plan, results, pack([(k, k=1, &
+        size(results%task_status, 1))], results%task_status(:, p) == task_complete), p))
     end do
   end function in_two_states
 
@@ -134,12 +130,19 @@ contains
       chi = sign(chi, current*polarised)
   end function signed_chi
 
-  !> Whether values form two separate groups, each of one value or more.
+  !> Whether values of chi form two separate groups, each of one value or more.
   logical function has_two_states(values) result(yes)
-    !> Values, finite, one or more.
+    !> Values, finite.
     real(dp), intent(in) :: values(:)
+    real(dp) :: fraction
+    integer :: n
 
-    yes = fraction_within(values) < within
+    yes = .false.
+    if (size(values) <= 3) return
+    n = min(size(values), many)
+    fraction = fraction_within(values)
+    yes = fraction < within .and. maxval(values) - minval(values) > jump
+    if (yes) yes = 2.0_dp**(n - 1)*beta_below(fraction, 0.5_dp*n - 1.0_dp, 0.5_dp) < chance
   end function has_two_states
 
   !> Fraction of the variance that is within the groups of the best division into two; 1 if values

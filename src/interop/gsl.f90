@@ -1,5 +1,5 @@
 !> Random numbers from the GNU Scientific Library, with seeds of 64 bits; its sort; Student's
-!> distribution.
+!> and the beta distribution.
 !>
 !> Seeds of GSL's generators have 32 bits. So there are two generators of different kind, `mt19937`
 !> (Matsumoto and Nishimura, ACM TOMACS 8, 3 (1998), doi:10.1145/272991.272995) and `cmrg`
@@ -13,7 +13,7 @@ module battery_gsl
   implicit none (type, external)
   private
   public :: seed_generator, uniform
-  public :: sort_order, student_quantile, gsl_library
+  public :: sort_order, student_quantile, beta_below, gsl_library
 
   interface
     type(c_ptr) function c_version() bind(c, name='battery_gsl_version')
@@ -39,6 +39,13 @@ module battery_gsl
       implicit none (type, external)
       real(c_double), value, intent(in) :: share, freedom
     end function student_quantile
+
+    !> Share of the beta distribution of `a` and `b` that lies below `x`.
+    real(c_double) function beta_below(x, a, b) bind(c, name='gsl_cdf_beta_P')
+      import :: c_double
+      implicit none (type, external)
+      real(c_double), value, intent(in) :: x, a, b
+    end function beta_below
 
     !> Sorting permutation: the indices, from 0, of `count` numbers in ascending order; the numbers
     !> are `stride` elements apart.

@@ -220,9 +220,13 @@ contains
         end do
       end if
       if (plan%scanned(at)%key == 'channel2_length' .and. size(values) > 1 .and. &
-        any(.not. widths > 0.0_wp) .and. are_lengths_known(plan)) again = 2
-      if (again > 0) call refuse_value(plan, plan%scanned(at)%key, to_text(values(again)), &
-        'every point once; this value repeats a point')
+        any(.not. widths > 0.0_wp) .and. are_lengths_known(plan)) then
+        call refuse_value(plan, plan%scanned(at)%key, to_text(values(2)), &
+          'every point once; this value repeats a point where channel2_width = 0')
+      else if (again > 0) then
+        call refuse_value(plan, plan%scanned(at)%key, to_text(values(again)), &
+          'every point once; this value repeats a point')
+      end if
     end do
   end subroutine check_repeats
 
