@@ -46,9 +46,7 @@ REAPED = (
     "how the program has ended cannot be known, since another part of this Python waits for all "
     "its processes (a handler of SIGCHLD, waitpid(-1))"
 )
-# Places of the program: made in a checkout, or installed beside the Python side.
-BUILT = Path(__file__).resolve().parents[1] / "build/bin/battery"
-INSTALLED = Path(sys.prefix, "../../bin/battery").resolve()
+BUILT = Path(__file__).resolve().parents[1] / "build/bin/battery"  # of a checkout
 
 
 class RunError(RuntimeError):
@@ -72,15 +70,18 @@ class RunError(RuntimeError):
 
 
 def find_program(program: str | Path | None = None) -> Path:
-    """Return the program: the one given, that of BATTERY_PROGRAM, make's own, that on PATH.
+    """Return the program: the one given, that of BATTERY_PROGRAM, make's own, that on the PATH.
 
     Raises `InputError` if it does not exist.
     """
     given = os.environ.get("BATTERY_PROGRAM") or None if program is None else program
     if given is not None:
         return existing_file(path_of(given, "program")).resolve()
-    on_path = shutil.which("battery")
-    for place in (BUILT, INSTALLED, *([Path(on_path)] if on_path else [])):
+    places, on_path, prefix = [BUILT], shutil.which("battery"), Path(sys.prefix)
+    if prefix.parts[-2:] == ("lib", "battery"):  # where make install puts the Python side
+        places.append(prefix.parents[1] / "bin/battery")
+    places += [Path(on_path).absolute()] if on_path else []
+    for place in places:
         if place.is_file():
             return place
     raise InputError(

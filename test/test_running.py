@@ -23,7 +23,7 @@ from support.program import run as run_program
 
 import postproc
 from postproc.cli import InputError
-from postproc.running import STOPPED, RunError, _reason
+from postproc.running import STOPPED, RunError, _reason, find_program
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -130,6 +130,21 @@ WRONG = {
     r"&particles NUMBER is given twice": {"particles": {"number": 100, "NUMBER": 100}},
     r"no group &1": {1: {"number": 100}},
 }
+
+
+def test_which_program_python_finds(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Beside the Python side of make install its own, else that of the PATH, by its whole path."""
+    for place in ("bin", "home/bin", "path"):
+        (tmp_path / place).mkdir(parents=True)
+        (tmp_path / place / "battery").write_text("#!/bin/sh\n")
+        (tmp_path / place / "battery").chmod(0o755)
+    monkeypatch.delenv("BATTERY_PROGRAM")
+    monkeypatch.setattr("postproc.running.BUILT", tmp_path / "none")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("PATH", "path")
+    for prefix, found in (("lib/battery", "bin"), ("home/proj/venv", "path")):
+        monkeypatch.setattr(sys, "prefix", str(tmp_path / prefix))
+        assert find_program() == tmp_path / found / "battery"
 
 
 @pytest.mark.parametrize(("message", "groups"), WRONG.items())

@@ -58,8 +58,8 @@ LOOKS = {
 def equals(name: str, value: float) -> str:
     """Return "name = value" for a legend or title, with the symbol of a key."""
     if name not in SYMBOLS:
-        return f"{name} = {style.brief(value)}"
-    return f"${SYMBOLS[name].strip('$')} = {style.in_math(value)}$"
+        return f"{name} = {style.brief(value, 6)}"
+    return f"${SYMBOLS[name].strip('$')} = {style.in_math(value, 6)}$"
 
 
 def axes_of(keys: Sequence[str]) -> Keys:

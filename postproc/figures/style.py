@@ -5,6 +5,7 @@ What makes, changes or writes a picture does it within `settings`, a context and
 
 from __future__ import annotations
 
+import hashlib
 import io
 import logging
 import re
@@ -39,6 +40,7 @@ BLUE = "#0072B2"
 VERMILION = "#D55E00"
 PURPLE = "#CC79A7"
 GREY = "#8C8C8C"
+LONGEST_NAME = 200  # bytes, of the 255 of most file systems
 CYCLE = (BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY)
 
 COLUMN = 3.4  # width of one column of the journal, inches
@@ -180,8 +182,14 @@ def note(axes: Axes, text: str) -> None:
 
 @settings()
 def save(made: Figure, folder: Path, name: str) -> list[Path]:
-    """Write `name`.png and `name`.pdf into `folder`, print and return their paths."""
+    """Write `name`.png and `name`.pdf into `folder`, print and return their paths.
+
+    A name that is too long for a file ends with its digest.
+    """
     output_folder(folder)
+    if len(name.encode()) > LONGEST_NAME:
+        digest = hashlib.sha256(name.encode()).hexdigest()[:8]
+        name = f"{name.encode()[:LONGEST_NAME].decode(errors='ignore')}_{digest}"
     paths = [file_to_write(folder / f"{name}.{kind}", kind) for kind in ABOUT]
     made.draw_without_rendering()  # a layout changes ticks; the next one makes room for them
     for path, about in zip(paths, ABOUT.values(), strict=True):

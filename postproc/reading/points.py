@@ -57,9 +57,9 @@ FRACTIONS = {"threshold": "threshold_fraction", "urn1_number": "urn1_fraction"}
 def mean_error(values: xr.DataArray, own_error: xr.DataArray | None = None) -> xr.Dataset:
     """Return the mean over replicas and its standard error.
 
-    The error is the scatter of n >= 2 complete replicas over sqrt(n), 0 where it is rounding; for
-    one replica it is the run's own. A variable does not know where replicas are in two states, so
-    there, too, it has a mean; `table`, figures and reports show none.
+    The error is the scatter of n >= 2 complete replicas over sqrt(n); for one replica it is the
+    run's own. Either is 0 where it is rounding. A variable does not know where replicas are in two
+    states, so there, too, it has a mean; `table`, figures and reports show none.
 
     Parameters
     ----------
@@ -88,10 +88,11 @@ def mean_error(values: xr.DataArray, own_error: xr.DataArray | None = None) -> x
     good = values.notnull() & (abs(values) < math.inf)
     count = good.sum("replica")
     scatter = values.where(count > 1).std("replica", ddof=1) / np.sqrt(count.where(count > 1))
-    scatter = scatter.where(~(scatter < ROUNDING * abs(values).max("replica")), 0.0)
+    rounding, mean = ROUNDING * abs(values).max("replica"), values.mean("replica")
+    scatter, mean = (one.where(~(abs(one) < rounding), 0.0) for one in (scatter, mean))
     if own_error is not None:
         scatter = scatter.where(count > 1, own_error.where(good).sum("replica", min_count=1))
-    return xr.Dataset({"mean": values.mean("replica"), "error": scatter, "replicas": count})
+    return xr.Dataset({"mean": mean, "error": scatter, "replicas": count})
 
 
 def flat(data: xr.Dataset, *needed: str) -> xr.Dataset:

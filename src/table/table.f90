@@ -207,13 +207,16 @@ contains
     end associate
   end function shortest_excursion
 
-  !> Bound of the time in which the directions of motion relax in the larger urn: 25 r^4/w^3, with r
-  !> the radius of a disc of the urn's area. In discs they relax in 19 r^4/w^3 (docs/theory.md): the
-  !> 25 takes each passage as long as the mean one, but oblique particles are faster. It is kept,
-  !> since no error should be given too early. Huge if channel 1 is closed, or if all urns are
-  !> polygons in which directions never relax, or too slowly: discs in channel 2 count for nothing,
-  !> since in a narrow one they meet too few particles. Errors of a run shorter than ten times this
-  !> are not estimated.
+  !> Bound of the time in which the directions of motion relax: the longest of three. In the larger
+  !> urn, 25 r^4/w^3, with r the radius of a disc of the urn's area; in discs they relax in 19
+  !> r^4/w^3 (docs/theory.md): the 25 takes each passage as long as the mean one, but oblique
+  !> particles are faster. It is kept, since no error should be given too early. Between wide
+  !> openings, `turning_time`. In long channels, the mean time of a passage through both, pi/2 of
+  !> their lengths.
+  !>
+  !> Huge if channel 1 is closed, or if all urns are polygons in which directions never relax, or
+  !> too slowly: discs in channel 2 count for nothing, since in a narrow one they meet too few
+  !> particles. Errors of a run shorter than ten times this are not estimated.
   pure function relaxation_time(table) result(time)
     type(table_type), intent(in) :: table
     real(wp) :: time, radius
@@ -228,8 +231,31 @@ contains
     time = huge(1.0_wp)
     if (.not. (relaxes .and. is_open(table%channel(channel1)))) return
     radius = sqrt(maxval(table%urn(:table%urn_count)%area)/pi)
-    time = 25.0_wp*radius*(radius/table%channel(channel1)%width)**3
+    time = max(25.0_wp*radius*(radius/table%channel(channel1)%width)**3, turning_time(table), &
+      0.5_wp*pi*sum(table%channel%length, mask=is_open(table%channel)))
   end function relaxation_time
+
+  !> Time in which particles between wide openings of discs lose their sense of going round. The
+  !> normals of the arcs between two openings are tilted from the y axis by up to acos(w/2r) on one
+  !> side and acos(w'/2r) on the other, a and b, and a hit turns the direction by twice the tilt: it
+  !> is lost after 1/mean(2 tilt^2) hits, of which one takes pi A/|arcs|. 0 where an urn is a
+  !> polygon.
+  pure function turning_time(table) result(time)
+    type(table_type), intent(in) :: table
+    real(wp) :: time, tilt(2), turned, arcs
+    integer :: urn
+
+    time = 0.0_wp
+    turned = huge(1.0_wp)
+    arcs = 0.0_wp
+    do urn = 1, table%urn_count
+      if (table%urn(urn)%shape == shape_polygon) return
+      tilt = acos(min(0.5_wp*table%channel%width/table%urn(urn)%radius, 1.0_wp))
+      turned = min(turned, 2.0_wp/3.0_wp*(tilt(1)**2 - tilt(1)*tilt(2) + tilt(2)**2))
+      arcs = arcs + 2.0_wp*table%urn(urn)%radius*sum(tilt)
+    end do
+    time = pi*area(table)/(max(arcs, tiny(1.0_wp))*max(turned, epsilon(1.0_wp)))
+  end function turning_time
 
   !> Urn to whose half of the table a point belongs; the middle line belongs to urn 2, if there is
   !> one.

@@ -7,7 +7,8 @@
 !>   reflected there; beyond a wall of its channel, it is mirrored as often as needed. Each is a
 !>   wall collision. Its position and the normal are wrong by as much as the particle has overshot.
 !> - If it is beyond the chord of an opening, between the channel's walls and moving outwards, it
-!>   has entered the channel, unless it moves along the chord; on the chord or short of it, and not
+!>   has entered the channel, unless it moves along the chord, or was beyond it before, in a part of
+!>   a polygon that extends over the channel; on the chord or short of it, and not
 !>   moving inwards, it has left the channel. Beyond the middle line or the periodic line it has
 !>   crossed that. All events of a step take place at its end: crossings first,
 !>   then all entries, then the decisions of the gates (`battery_gate`).
@@ -26,7 +27,7 @@ module battery_timestep
     in_channel2, x_direction, are_mirror_images
   use battery_channel, only: fold_into_channel, facing, is_open
   use battery_motion, only: motion_type
-  use battery_urn, only: contains_point, reflect_overshoot
+  use battery_urn, only: contains_point, reflect_overshoot, shape_polygon
   use battery_wall_by_wall, only: wall_by_wall_type, reset_counts, serialize_counts, end_instant, &
     count_hits, record_gate_entry, record_line_crossing, window_reaches
   use battery_engine, only: unmet_requirement
@@ -71,7 +72,7 @@ contains
     if (table%has_scatterers) reason = 'it does not support scatterers'
     if (reason /= '') return
     longest = min(minval(table%urn%longest_step), minval(0.5_wp*table%channel%length, &
-      mask=is_open(table%channel)))
+      mask=is_open(table%channel)))/(1.0_wp + step_tolerance)
     if (.not. self%time_step > 0.0_wp .or. self%time_step >= longest) reason = &
       'its time_step must be above 0 and below '//to_text(longest) &
       //', the least of half the length of each open channel, of twice the area of an urn over ' &
@@ -194,7 +195,7 @@ contains
     type(timestep_type), intent(inout) :: self
     integer, intent(in) :: i
     type(event_record_type), intent(inout) :: event_record
-    real(wp) :: x, ux
+    real(wp) :: x, ux, moved
     integer :: opening
     logical :: was_beyond
 
@@ -202,9 +203,12 @@ contains
     associate (urn => self%table%urn(self%urn(i)), y => self%y(i))
       x = urn%centre + urn%axis_sign*self%x(i)
       ux = urn%axis_sign*self%ux(i)
-      if (x >= urn%chord(channel1) .and. abs(y) < urn%half_width(channel1)) then
+      moved = huge(1.0_wp)
+      if (urn%shape == shape_polygon) moved = max(abs(ux), urn%least_across)*self%time_step &
+        *(1.0_wp + step_tolerance)
+      if (is_past(x - urn%chord(channel1)) .and. abs(y) < urn%half_width(channel1)) then
         opening = channel1
-      else if (x <= -urn%chord(channel2) .and. abs(y) < urn%half_width(channel2)) then
+      else if (is_past(-x - urn%chord(channel2)) .and. abs(y) < urn%half_width(channel2)) then
         opening = channel2
       end if
       if (opening /= no_channel .and. abs(ux) <= urn%least_across) return
@@ -223,6 +227,16 @@ contains
         call count_hits(self, event_record, 1_int64)
       end if
     end associate
+
+  contains
+
+    !> Whether the particle is beyond a chord, by no more than it `moved` in this step.
+    pure logical function is_past(behind)
+      real(wp), intent(in) :: behind
+
+      is_past = behind >= 0.0_wp .and. behind <= moved
+    end function is_past
+
   end subroutine correct_in_urn
 
   !> Moves a particle through a chord, which it crossed the time `ago` before now, into another
