@@ -37,8 +37,8 @@ module battery_timestep
   private
   public :: timestep_type
 
-  !> The last step before a stop may be longer by this fraction, so that no tiny step follows.
-  real(wp), parameter :: step_tolerance = 1.0e-3_wp
+  !> The last step before a stop may be longer by this fraction, so that no step of rounding follows.
+  real(wp), parameter :: step_tolerance = 1.0e-6_wp
 
   !> Largest number of moves of particles in a window.
   real(wp), parameter :: window_moves = 262144.0_wp
@@ -72,8 +72,9 @@ contains
     if (table%has_scatterers) reason = 'it does not support scatterers'
     if (reason /= '') return
     longest = min(minval(table%urn%longest_step), minval(0.5_wp*table%channel%length, &
-      mask=is_open(table%channel)))/(1.0_wp + step_tolerance)
-    if (.not. self%time_step > 0.0_wp .or. self%time_step >= longest) reason = &
+      mask=is_open(table%channel)))
+    if (.not. (self%time_step > 0.0_wp .and. self%time_step*(1.0_wp + step_tolerance) < longest)) &
+      reason = &
       'its time_step must be above 0 and below '//to_text(longest) &
       //', the least of half the length of each open channel, of twice the area of an urn over ' &
       //'its perimeter (a disc''s radius), and of the distance between walls that are not adjacent'
