@@ -37,7 +37,7 @@ module battery_timestep
   private
   public :: timestep_type
 
-  !> The last step before a stop may be longer by this fraction, so that no step of rounding follows.
+  !> The last step before a stop may be longer by this fraction: what is left may be rounding.
   real(wp), parameter :: step_tolerance = 1.0e-6_wp
 
   !> Largest number of moves of particles in a window.
