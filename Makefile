@@ -6,6 +6,8 @@ SHELL := bash
 .DELETE_ON_ERROR:
 .DEFAULT_GOAL := help
 MAKEFLAGS += --no-print-directory
+# Targets make the same things; what takes long runs in parallel by itself.
+.NOTPARALLEL:
 
 # Which MPI: `make build MPI=mpich` builds with Debian's MPICH, into build/mpich.
 export MPI := openmpi
