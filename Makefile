@@ -51,7 +51,7 @@ export PIP_USER := 0
 # fpm: what the user says, that of the virtual environment, that of the PATH, or pip installs one.
 # Another program has that name, too.
 fpm := $(abspath $(or $(shell command -v '$(FPM)'),$(FPM),$(wildcard build/venv/bin/fpm), \
-       $(shell fpm --version 2> /dev/null | grep -q fpm && command -v fpm),build/venv/bin/fpm))
+       $(shell [[ $$(fpm --version 2> /dev/null) == *fpm* ]] && command -v fpm),build/venv/bin/fpm))
 
 export FPM_FC := $(MPIFC)
 export FPM_AR := gcc-ar

@@ -99,9 +99,9 @@ def rounded_apart(values: NDArray[np.generic]) -> NDArray[np.generic]:
 
 
 def _to_error(value: float, error: float) -> float:
-    """Return a value to three digits of its error; with ten where that is not known, or tiny."""
+    """Return a value to five digits of its error; with ten where that is not known, or tiny."""
     if error > 0.0:
-        value = round(value, 2 - math.floor(math.log10(error))) + 0.0  # no -0
+        value = round(value, 4 - math.floor(math.log10(error))) + 0.0  # no -0
     return float(f"{value:.10g}")
 
 
