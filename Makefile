@@ -310,7 +310,8 @@ OBJECTS := build/*_[0-9A-F][0-9A-F][0-9A-F][0-9A-F][0-9A-F][0-9A-F]*
 
 build/generated/commit.h: FORCE | build/stamps/packages$(SUFFIX)
 	@mkdir -p build/generated
-	# Of this tree, and not of one around it; a hook of git names another one in its variables.
+	# Of this tree, and not of one around it, or of the one whose hook runs this.
+	unset $$(git rev-parse --local-env-vars 2> /dev/null)
 	tree="--git-dir=.git --work-tree=."
 	commit=$$(git $$tree describe --always --dirty --abbrev=40 --exclude='*' 2> /dev/null || echo unknown)
 	new="#define BATTERY_COMMIT \"$$commit\""

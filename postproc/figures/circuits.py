@@ -78,7 +78,7 @@ def title(points: xr.Dataset, at: int) -> str:
     names = [name for name in keys_of(points) if name not in STARTS]
     names += ["start"] * (np.unique(points["start"]).size > 1)
     names = with_first([*(names or PARAMETERS), *second_values(points)])
-    return ", ".join(equals(name, float(points[name][at])) for name in names)
+    return ", ".join(equals(name, float(points[name][at]), points[name]) for name in names)
 
 
 def common(points: xr.Dataset) -> str:
@@ -307,7 +307,7 @@ def draw_curves(
         places = (group["threshold"] / group["number"] if as_share else group[across]).values
         x, x_error = _means(group, against) if against else (places, None)
         y, y_error = _means(group, quantity)
-        label = ", ".join(equals(name, one) for name, one in value.items())
+        label = ", ".join(equals(name, one, points[name]) for name, one in value.items())
         drawn.append(axes.errorbar(x, y, y_error, x_error, fmt=mark, color=colour, mfc="none",
                                    elinewidth=0.7, ms=3.8, label=label or "measured"))  # fmt: skip
         for model, look in theories:

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.collections import QuadMesh
     from matplotlib.figure import Figure
-    from numpy.typing import NDArray
+    from numpy.typing import ArrayLike, NDArray
 
     from postproc.theory.circuit import Circuit
     from postproc.theory.model import Model
@@ -55,11 +55,15 @@ LOOKS = {
 }
 
 
-def equals(name: str, value: float) -> str:
-    """Return "name = value" for a legend or title, with the symbol of a key."""
+def equals(name: str, value: float, among: ArrayLike = ()) -> str:
+    """Return "name = value" for a legend or title, with the symbol of a key.
+
+    It differs from that of other values `among` the points.
+    """
+    digits = style.digits_apart(among, 6)
     if name not in SYMBOLS:
-        return f"{name} = {style.brief(value, 6)}"
-    return f"${SYMBOLS[name].strip('$')} = {style.in_math(value, 6)}$"
+        return f"{name} = {style.brief(value, digits)}"
+    return f"${SYMBOLS[name].strip('$')} = {style.in_math(value, digits)}$"
 
 
 def axes_of(keys: Sequence[str]) -> Keys:

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 
 import matplotlib as mpl
 import matplotlib.style
+import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
@@ -30,6 +31,7 @@ if TYPE_CHECKING:
 
     from matplotlib.artist import Artist
     from matplotlib.axes import Axes
+    from numpy.typing import ArrayLike
 
 # Okabe and Ito's palette
 BLACK = "#000000"
@@ -92,6 +94,14 @@ def brief(value: float, digits: int = 4) -> str:
     """Return a whole number with all its digits, another one with some."""
     whole = float(value).is_integer() and abs(value) < 1e15
     return f"{value + 0.0:.0f}" if whole else f"{value:.{digits}g}"  # no -0
+
+
+def digits_apart(values: ArrayLike, least: int) -> int:
+    """Return the fewest digits, not below `least`, at which different values look different."""
+    different, digits = np.unique(values), least
+    while digits < 17 and len({f"{one:.{digits}g}" for one in different}) < different.size:
+        digits += 1
+    return digits
 
 
 def in_math(value: float, digits: int = 4) -> str:

@@ -89,13 +89,8 @@ def rounded(values: Floats, digits: int = 5) -> Floats:
 
 
 def rounded_apart(values: NDArray[np.generic]) -> NDArray[np.generic]:
-    """Return values rounded to the fewest digits, five or more, at which they stay different."""
-    if values.dtype.kind == "i":
-        return values
-    different = np.unique(values).size
-    digits = next(digits for digits in range(5, 18)
-                  if np.unique(rounded(values, digits)).size == different)  # fmt: skip
-    return rounded(values, digits)
+    """Return values rounded to the fewest digits, eight or more, at which they stay different."""
+    return values if values.dtype.kind == "i" else rounded(values, style.digits_apart(values, 8))
 
 
 def _to_error(value: float, error: float) -> float:

@@ -430,6 +430,10 @@ def test_more_series_than_colours_look_different(tmp_path: Path) -> None:
     lines = [one.lines[0] for one in plot.curves(postproc.open_results(path), variable="chi",
              ax=Figure().add_subplot())]  # fmt: skip
     assert len({(one.get_color(), one.get_marker()) for one in lines}) == len(lines) == 14
+    scan = {"threshold": [1, 2], "channel2_width": [0.01, 0.010000001], "replicas": 1}
+    path = results_of(tmp_path / "fine.h5", scan=scan, run=SHORT)
+    drawn = plot.curves(postproc.open_results(path), variable="chi", ax=Figure().add_subplot())
+    assert [one.get_label() for one in drawn] == ["$w' = 0.01$", "$w' = 0.010000001$"]
 
 
 def test_a_norm_of_the_user_has_bounds_of_its_own(folder: Path) -> None:

@@ -234,7 +234,7 @@ def test_a_selector_chooses_all_that_is_drawn(tmp_path: Path) -> None:
     lines = data.map_lines(points, scanned, models)
     columns = data.points_of(points, scanned, models)
     assert scanned.others == ["channel1_length"]
-    assert {*lines["channel1_length"]} == {*columns["channel1_length"]} == {1.0, 1.3333}
+    assert {*lines["channel1_length"]} == {*columns["channel1_length"]} == {1.0, 1.3333333}
     scan = {"threshold": [1, 2], "urn1_fraction": [0.5, 1.0]}
     points = points_of(results_of(tmp_path / "starts.h5", scan=scan, run={"duration": 20.0}))
     scanned = data.scanned(points)
