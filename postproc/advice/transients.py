@@ -61,10 +61,15 @@ def largest_radius(circuit: Circuit) -> float:
 
 
 def memory_time(circuit: Circuit) -> float:
-    """Return the relaxation time of directions, 25 r^4/w^3 for l = r or so."""
+    """Return the relaxation time of directions: 25 r^4/w^3, or a passage of both channels.
+
+    Between openings wider than 1.9 r it is longer; there `SHORTEST` decides.
+    """
     radius, width = float(circuit.urn_radius), float(circuit.channel1_width)
     visit = math.pi * float(circuit.urn_area) / width
-    return visit / (6.0 * DIFFUSION * (width / radius) ** 2)
+    back = float(circuit.channel2_length) if float(circuit.channel2_width) else 0.0
+    passage = 0.5 * math.pi * (float(circuit.channel1_length) + back)
+    return max(visit / (6.0 * DIFFUSION * (width / radius) ** 2), passage)
 
 
 def number_time(circuit: Circuit) -> float:

@@ -32,7 +32,7 @@ FILLS = (  # fill styles of app3's marks, one for each theory
     {"fillstyle": "left", "markerfacecoloralt": "white"},
     {"fillstyle": "top", "markerfacecoloralt": "white"},
 )
-MARKS = {0: ("s", style.BLUE), 1: ("o", style.VERMILION), 2: ("^", style.GREEN)}
+MARKS = "so^DvP"  # of each w, in the colours of `style.CYCLE`
 
 
 class Group(NamedTuple):
@@ -68,7 +68,8 @@ def _groups(points: xr.Dataset) -> list[Group]:
 
 
 def _look(column: int) -> tuple[str, str]:
-    return MARKS.get(column, ("D", style.CYCLE[column % len(style.CYCLE)]))
+    turn, place = divmod(column, len(style.CYCLE))
+    return MARKS[(place + turn) % len(MARKS)], style.CYCLE[place]
 
 
 def _panels(points: xr.Dataset, height: float = 3.3) -> tuple[Figure, list[Axes]]:

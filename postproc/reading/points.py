@@ -58,8 +58,8 @@ def mean_error(values: xr.DataArray, own_error: xr.DataArray | None = None) -> x
     """Return the mean over replicas and its standard error.
 
     The error is the scatter of n >= 2 complete replicas over sqrt(n); for one replica it is the
-    run's own. Either is 0 where it is rounding. A variable does not know where replicas are in two
-    states, so there, too, it has a mean; `table`, figures and reports show none.
+    run's own. Mean and scatter are 0 where they are rounding. A variable does not know where
+    replicas are in two states, so there, too, it has a mean; `table`, figures and reports show none.
 
     Parameters
     ----------

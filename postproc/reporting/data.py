@@ -94,10 +94,10 @@ def rounded_apart(values: NDArray[np.generic]) -> NDArray[np.generic]:
 
 
 def _to_error(value: float, error: float) -> float:
-    """Return a value to five digits of its error; with ten where that is not known, or tiny."""
-    if error > 0.0:
-        value = round(value, 4 - math.floor(math.log10(error))) + 0.0  # no -0
-    return float(f"{value:.10g}")
+    """Return a value to five digits of its error, ten of its own at most; else with six."""
+    if not 0.0 < error < math.inf:
+        return float(f"{value:.6g}")
+    return float(f"{round(value, 4 - math.floor(math.log10(error))) + 0.0:.10g}")  # no -0
 
 
 def points_of(points: xr.Dataset, scan: Scan, models: dict[str, Model]) -> Columns:

@@ -197,10 +197,11 @@ def _excess(points: xr.Dataset) -> Floats:
 
 def _of_current(circuit: Circuit, chi: float, excess: float, error: float) -> list[str]:
     """Compare the net current with the one that chi and memory of the urns, discs, explain."""
-    if not excess > np.maximum(EXCESS, DRIFT * error) or circuit.outline is not None:
+    least = np.maximum(EXCESS, DRIFT * error)
+    if not excess > least or circuit.outline is not None:  # or its error is not known
         return []
-    most = memory_factor(circuit, chi) - 1.0
-    if not excess - most > np.maximum(EXCESS, DRIFT * error):  # or its error is not known
+    most = memory_factor(circuit, chi) - 1.0  # takes up to half a second
+    if not excess - most > least:
         return []
     return [
         f"the net current is {100.0 * excess:.0f} % more than the spread accounts for, and memory "

@@ -235,7 +235,7 @@ contains
     type(task_type) :: task
     type(simulation_type) :: simulation
     integer :: tries, tried, k
-    real(dp) :: began, begun, spent, collisions, share
+    real(dp) :: launched, began, spent, collisions, share
 
     tries = min(most_tries, size(pending))
     tried = 0
@@ -245,14 +245,14 @@ contains
       task = task_of(plan, pending(1 + int(int(size(pending) - 1, int64)*(k - 1) &
         /max(tries - 1, 1))))
       if (task%setup%number > most) cycle
-      began = cpu_seconds()
+      launched = cpu_seconds()
       call begin_task(task, plan%file_particles, simulation, error)
       if (allocated(error)) return
-      begun = cpu_seconds()
+      began = cpu_seconds()
       ! One window may take seconds.
       call advance_simulation(simulation)
       do
-        spent = max(cpu_seconds() - begun, 1.0e-9_dp)
+        spent = max(cpu_seconds() - began, 1.0e-9_dp)
         if (stop_requested()) call set_stop_error(error)
         if (allocated(error)) return
         if (spent > try_seconds .or. simulation%done) exit
@@ -263,7 +263,7 @@ contains
       share = collisions/real(plan%collisions, dp)
       if (plan%duration > 0.0_wp) share = real(simulation%elapsed/plan%duration, dp)
       rate = rate + collisions/spent
-      seconds = seconds + begun - began + spent/max(share, 1.0e-18_dp)
+      seconds = seconds + began - launched + spent/max(share, 1.0e-18_dp)
     end do
     seconds = seconds/max(tried, 1)
     rate = rate/max(tried, 1)

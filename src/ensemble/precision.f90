@@ -10,6 +10,7 @@ module battery_precision
   use, intrinsic :: ieee_arithmetic, only: ieee_is_nan
   use, intrinsic :: iso_c_binding, only: c_size_t
   use battery_blocks, only: error_of_mean, rounding
+  use battery_channel, only: channel2, is_open
   use battery_kinds, only: wp, dp
   use battery_gsl, only: student_quantile, beta_below, sort_order
   use battery_plan, only: plan_type, point_type, point_of, table_of
@@ -71,11 +72,13 @@ contains
       end do
       results%point_status(p) = point_not_precise
       ! Without channel 2 its current is NaN, and has no error to be reached.
-      known = asked .and. .not. ieee_is_nan(scatter)
-      needed = max(0.0_dp, maxval((scatter/merge(real(plan%precision, dp), 1.0_dp, known))**2, &
-        known))
-      if (needed <= plan%replicas) results%point_status(p) = point_precise
-      results%replicas_needed(p) = max(n, ceiling(min(needed, real(plan%replicas, dp))))
+      known = asked .and. [.true., is_open(results%point(p)%channel(channel2))]
+      if (.not. any(known .and. ieee_is_nan(scatter))) then
+        needed = max(0.0_dp, maxval((scatter/merge(real(plan%precision, dp), 1.0_dp, known))**2, &
+          known))
+        if (needed <= plan%replicas) results%point_status(p) = point_precise
+        results%replicas_needed(p) = max(n, ceiling(min(needed, real(plan%replicas, dp))))
+      end if
       associate (replicas => results%replicas_needed(p))
         if (any(results%task_status(:replicas, p) /= task_complete)) cycle
         if (has_two_states(signed_chi(plan, results, [(k, k=1, replicas)], p))) then

@@ -228,20 +228,24 @@ contains
     text = repeat(' ', max(1, width - len(to_text(number))))//to_text(number)
   end function whole_text
 
-  !> A number in `width` columns with `digits` decimals; with an exponent if it is too large for
-  !> that, or so small that no digit would be visible; a dash if it is not known.
+  !> A number in `width` columns, of which the first is blank, with `digits` decimals, or as many as
+  !> there is room for; with an exponent if there is none, or if it is so small that no digit would
+  !> be visible; a dash if it is not known.
   pure function number_text(number, width, digits) result(text)
     !> Any number, or NaN.
     real(dp), intent(in) :: number
     !> Number of columns, and of decimals.
     integer, intent(in) :: width, digits
     character(len=width) :: text
+    integer :: k
 
     text = repeat(' ', width - 1)//'-'
     if (ieee_is_nan(number)) return
-    write (text, '(f'//to_text(width)//'.'//to_text(digits)//')') number
-    if (index(text, '*') == 0 .and. .not. (abs(number) > 0.0_dp .and. abs(number) &
-      < 0.5_dp*0.1_dp**digits)) return
+    do k = digits, 1, -1
+      if (abs(number) > 0.0_dp .and. abs(number) < 0.5_dp*0.1_dp**digits) exit
+      write (text, '(f'//to_text(width)//'.'//to_text(k)//')') number
+      if (text(:1) == ' ') return
+    end do
     write (text, '(es'//to_text(width)//'.'//to_text(min(width - 7, digits))//')') number
   end function number_text
 

@@ -16,7 +16,6 @@
 #include <sys/stat.h>
 #include <unistd.h>
 #ifdef __linux__
-#include <linux/limits.h>
 #include <sys/xattr.h>
 #endif
 
@@ -200,9 +199,10 @@ int battery_rename(const char *old, const char *new) {
 static int copy_access_list(const char *from, const char *to) {
 #ifdef __linux__
   const char name[] = "system.posix_acl_access";
-  char list[XATTR_SIZE_MAX];
+  char list[65536]; /* the longest attribute */
   ssize_t size = getxattr(from, name, list, sizeof list);
   if (size >= 0) return setxattr(to, name, list, (size_t)size, 0) == 0;
+  if (errno != ENODATA && errno != ENOTSUP) return 0;
   (void)!removexattr(to, name);
 #endif
   return 1;

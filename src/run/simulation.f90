@@ -384,7 +384,9 @@ contains
     if (archive%reading) call make_engine(simulation, setup, error)
     if (allocated(error)) return
     call serialize_observer(simulation%observer, archive)
+    ! Those of a state of an earlier version were others.
     simulation%observer%even_difference = even_difference(setup%table)
+    simulation%observer%relaxation = relaxation_time(setup%table)
     if (archive%reading .and. .not. archive%failed()) call check_remaining_memory(simulation, error)
     if (allocated(error)) return
     if (.not. archive%failed()) call simulation%engine%serialize_state(setup%table, &

@@ -27,7 +27,7 @@ module battery_timestep
     in_channel2, x_direction, are_mirror_images
   use battery_channel, only: fold_into_channel, facing, is_open
   use battery_motion, only: motion_type
-  use battery_urn, only: contains_point, reflect_overshoot, shape_polygon
+  use battery_urn, only: contains_point, reflect_overshoot
   use battery_wall_by_wall, only: wall_by_wall_type, reset_counts, serialize_counts, end_instant, &
     count_hits, record_gate_entry, record_line_crossing, window_reaches
   use battery_engine, only: unmet_requirement
@@ -52,8 +52,9 @@ module battery_timestep
     integer(int8), allocatable :: urn(:), chamber(:)
     !> Whether a particle may have hit a wall, or is in a channel.
     logical, allocatable :: near_wall(:)
-    !> Steps in a window.
+    !> Steps in a window, and the length of the last one.
     integer :: steps = 1
+    real(wp) :: last_step = 0.0_wp
   contains
     procedure :: reason_unsupported, prepare_engine, process_window, serialize_own_state, &
       motion_now, store_motion
@@ -114,6 +115,7 @@ contains
         step = max(duration - self%window_time, 0.0_wp)
       if (step_number > 1 .and. .not. step > 0.0_wp) exit
       self%window_time = self%window_time + step
+      self%last_step = step
       self%now = self%window_start + self%window_time
       call move_particles(self%table%urn(1), self%number, step, self%x, self%y, self%ux, self%uy, &
         self%chamber, self%near_wall)
@@ -204,9 +206,9 @@ contains
     associate (urn => self%table%urn(self%urn(i)), y => self%y(i))
       x = urn%centre + urn%axis_sign*self%x(i)
       ux = urn%axis_sign*self%ux(i)
+      ! Who is farther beyond a chord was beyond it before this step.
       moved = huge(1.0_wp)
-      if (urn%shape == shape_polygon) moved = max(abs(ux), urn%least_across)*self%time_step &
-        *(1.0_wp + step_tolerance)
+      if (urn%overhangs) moved = abs(ux)*self%last_step + urn%least_across*urn%reach
       if (is_past(x - urn%chord(channel1)) .and. abs(y) < urn%half_width(channel1)) then
         opening = channel1
       else if (is_past(-x - urn%chord(channel2)) .and. abs(y) < urn%half_width(channel2)) then
