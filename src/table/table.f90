@@ -208,8 +208,8 @@ contains
   end function shortest_excursion
 
   !> Time in which the directions of motion relax, estimated from above, the longest of three. In
-  !> the larger urn, 25 r^4/w^3, with r the radius of a disc of the urn's area; in discs they relax in
-  !> 19 r^4/w^3 (docs/theory.md): the 25 takes each passage as long as the mean one, but oblique
+  !> the larger urn, 25 r^4/w^3, with r the radius of a disc of the urn's area; in discs they relax
+  !> in 19 r^4/w^3 (docs/theory.md): the 25 takes each passage as long as the mean one, but oblique
   !> particles are faster. It is kept, since no error should be given too early. Between wide
   !> openings, `turning_time`. In long channels, the mean time of a passage through both, pi/2 of
   !> their lengths.
@@ -235,11 +235,11 @@ contains
       0.5_wp*pi*sum(table%channel%length, mask=is_open(table%channel)))
   end function relaxation_time
 
-  !> Time in which particles between wide openings lose their sense of going round. A hit of a wall
-  !> whose normal is tilted by t from the y axis turns the direction by 2t, and the mean of its cosine
-  !> loses 2 sin(t)^2. A wall of length ds is hit in a time pi A/ds. Twice that, since particles near
-  !> the axis meet walls less often: in runs the last of the memory decays 1.5 to 2.5 times as slowly
-  !> between discs with w = w' = 1.6 to 1.9.
+  !> Time in which particles between wide openings lose their sense of going round. A hit of a
+  !> wall whose normal is tilted by t from the y axis turns the direction by 2t, and the mean of its
+  !> cosine loses 2 sin(t)^2. A wall of length ds is hit in a time pi A/ds. Twice that, since
+  !> particles near the axis meet walls less often: in runs the last of the memory decays 1.5 to 2.5
+  !> times as slowly between discs with w = w' = 1.6 to 1.9.
   pure function turning_time(table) result(time)
     type(table_type), intent(in) :: table
     real(wp) :: time, tilt(2), lost
