@@ -59,7 +59,8 @@ def mean_error(values: xr.DataArray, own_error: xr.DataArray | None = None) -> x
 
     The error is the scatter of n >= 2 complete replicas over sqrt(n); for one replica it is the
     run's own. Mean and scatter are 0 where they are rounding. A variable does not know where
-    replicas are in two states, so there, too, it has a mean; `table`, figures and reports show none.
+    replicas are in two states, so there, too, it has a mean; `table`, figures and reports have
+    none.
 
     Parameters
     ----------
