@@ -78,7 +78,7 @@ def test_grown_results_are_those_of_the_whole(
 
 
 def access_list(path: Path) -> bytes:
-    """Let one more user read a file, and its group nothing; nothing where there are no such lists."""
+    """Let one more user read a file, and its group nothing; nothing where no such lists are."""
     owner, user, group, mask, other = 0x01, 0x02, 0x04, 0x10, 0x20
     entries = [(owner, 6, -1), (user, 4, 1001), (group, 0, -1), (mask, 4, -1), (other, 0, -1)]
     listed = struct.pack("<I", 2) + b"".join(struct.pack("<HHi", *one) for one in entries)
