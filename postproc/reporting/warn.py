@@ -86,13 +86,13 @@ def memory_factor(circuit: Circuit, chi: float) -> float:
     """Return the factor by which memory of the urns raises the net current at a chi.
 
     It is the conductance of two ports over that of well mixed urns, and what circulates along the
-    axis in a run without end.
+    axis at the age of the run.
     """
     if float(circuit.channel2_width) == 0.0:
         return 1.0
     mixed = ports.well_mixed(circuit).conductance
     spread = chi * float(circuit.number)
-    circulates = circulating_at(circuit, 0.5 * (float(circuit.number) + spread), math.inf)
+    circulates = circulating_at(circuit, 0.5 * (float(circuit.number) + spread), circuit.age)
     memory = max(ports.disc(circuit).conductance / mixed, 1.0)
     return memory + float(circulates) / float(flow2(circuit, spread))
 
@@ -128,7 +128,7 @@ def explanations(points: xr.Dataset) -> list[str]:
             "states. A mean of both would be a third, so none is shown."
         )
     excess, error = _excess(points)
-    above = excess[excess > np.maximum(EXCESS, DRIFT * error)]  # none whose error is not known
+    above = excess[excess > np.maximum(EXCESS, error)]  # none whose error is not known
     if above.size:
         found.append(
             f"At {above.size} of {count} points the net current is more than chi accounts "
@@ -180,9 +180,10 @@ def _of_replicas(point: xr.Dataset) -> list[str]:
 
 
 def _excess(points: xr.Dataset) -> Floats:
-    """Return the relative excess of net currents over those that chi explains, and its error.
+    """Return the relative excess of net currents over those that chi explains, and its uncertainty.
 
-    Shape (2, point). The latter are from the conductance of well mixed urns; NaN if not known.
+    Shape (2, point). The latter are from the conductance of well mixed urns; NaN if not known. An
+    excess above its uncertainty is `UNLIKELY`, by Student's t.
     """
     chi, (current, error) = means(points, "chi")[0], means(points, "polarised_current")
     explained = [
@@ -192,12 +193,14 @@ def _excess(points: xr.Dataset) -> Floats:
         for circuit, spread in zip(points["circuit"].values, chi, strict=True)
     ]
     expected = np.where(np.array(explained) > 0.0, explained, math.nan)
-    return np.array([current / expected - 1.0, error / expected])
+    replicas = points["complete"].sum("replica").values
+    limit = stats.t.isf(UNLIKELY, np.where(replicas > 1, replicas - 1, FREEDOM))
+    return np.array([current / expected - 1.0, limit * error / expected])
 
 
 def _of_current(circuit: Circuit, chi: float, excess: float, error: float) -> list[str]:
     """Compare the net current with the one that chi and memory of the urns, discs, explain."""
-    least = np.maximum(EXCESS, DRIFT * error)
+    least = np.maximum(EXCESS, error)
     if not excess > least or circuit.outline is not None:  # or its error is not known
         return []
     most = memory_factor(circuit, chi) - 1.0  # takes up to half a second
