@@ -8,6 +8,7 @@ from __future__ import annotations
 import hashlib
 import io
 import logging
+import os
 import re
 import textwrap
 from contextlib import contextmanager
@@ -197,9 +198,9 @@ def save(made: Figure, folder: Path, name: str) -> list[Path]:
     A name that is too long for a file ends with its digest.
     """
     output_folder(folder)
-    if len(name.encode()) > LONGEST_NAME:
-        digest = hashlib.sha256(name.encode()).hexdigest()[:8]
-        name = f"{name.encode()[:LONGEST_NAME].decode(errors='ignore')}_{digest}"
+    if len(encoded := os.fsencode(name)) > LONGEST_NAME:
+        digest = hashlib.sha256(encoded).hexdigest()[:8]
+        name = f"{encoded[:LONGEST_NAME].decode(errors='ignore')}_{digest}"
     paths = [file_to_write(folder / f"{name}.{kind}", kind) for kind in ABOUT]
     made.draw_without_rendering()  # a layout changes ticks; the next one makes room for them
     for path, about in zip(paths, ABOUT.values(), strict=True):

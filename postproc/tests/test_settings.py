@@ -99,3 +99,9 @@ def test_settings_with_which_matplotlib_cannot_be_imported_are_one_line(tmp_path
         assert last.startswith("error: matplotlib cannot be imported with the settings of this")
         assert words in last
         assert b"Traceback" not in ended.stderr
+
+
+def test_a_name_that_is_too_long_for_a_file_ends_with_its_digest(tmp_path: Path) -> None:
+    made = {path for end in "ab" for path in style.save(style.figure(), tmp_path, 300 * "x" + end)}
+    assert len(made) == 4
+    assert all(path.is_file() for path in made)
