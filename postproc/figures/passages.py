@@ -172,8 +172,8 @@ def figure_lifetimes(points: xr.Dataset, models: Sequence[Model] = ()) -> Figure
     for one, (key, group) in zip(axes, sorted(panels.items()), strict=True):
         draw_lifetimes(one, group, models)
         lowest, highest = min(lowest, one.get_ylim()[0]), max(highest, one.get_ylim()[1])
-        width = f", {equals(WIDTH, key[2])}" if several else ""
-        one.set_title(f"$T = {style.in_math(key[0])}$, $l = {style.in_math(key[1], 6)}${width}")
+        among = zip(PANEL, key, zip(*panels, strict=True), strict=True)
+        one.set_title(", ".join([equals(*values) for values in among][: 3 if several else 2]))
         one.label_outer()
     axes[0].set_ylim(lowest, highest)
     style.legend_above(made, *axes[0].get_legend_handles_labels(), 3)

@@ -23,7 +23,7 @@ from matplotlib.figure import Figure
 from matplotlib.patheffects import Normal, Stroke
 from matplotlib.ticker import MaxNLocator
 
-from postproc.cli import MARK, file_to_write, output_folder, replaced
+from postproc.cli import MARK, InputError, file_to_write, output_folder, replaced
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
@@ -43,6 +43,7 @@ BLUE = "#0072B2"
 VERMILION = "#D55E00"
 PURPLE = "#CC79A7"
 GREY = "#8C8C8C"
+MOST_ENTRIES = 28  # of a legend above the panels
 LONGEST_NAME = 200  # bytes, of the 255 of most file systems
 CYCLE = (BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY)
 
@@ -155,7 +156,13 @@ def measured(made: Figure) -> Iterator[Figure]:
 def legend_above(
     made: Figure, handles: Sequence[Artist], labels: Sequence[str], columns: int, **look: object
 ) -> None:
-    """Put a legend above the panels, in at most that many columns, so that it is not cut."""
+    """Put a legend above the panels, in at most that many columns, so that it is not cut.
+
+    One that leaves too little room for them is refused.
+    """
+    if len(labels) > MOST_ENTRIES:
+        raise InputError(f"a figure has at most {MOST_ENTRIES} entries in its legend, here are "
+                         f"{len(labels)}: choose, --select KEY=VALUE ...")  # fmt: skip
     with measured(made):
         _fitted_legend(made, handles, labels, columns, loc="outside upper center", **look)
 
@@ -200,7 +207,7 @@ def save(made: Figure, folder: Path, name: str) -> list[Path]:
     output_folder(folder)
     if len(encoded := os.fsencode(name)) > LONGEST_NAME:
         digest = hashlib.sha256(encoded).hexdigest()[:8]
-        name = f"{encoded[:LONGEST_NAME].decode(errors='ignore')}_{digest}"
+        name = f"{os.fsdecode(encoded[:LONGEST_NAME])}_{digest}"
     paths = [file_to_write(folder / f"{name}.{kind}", kind) for kind in ABOUT]
     made.draw_without_rendering()  # a layout changes ticks; the next one makes room for them
     for path, about in zip(paths, ABOUT.values(), strict=True):

@@ -26,7 +26,7 @@ from matplotlib.text import Text
 import postproc
 from postproc import InputError, plot
 from postproc.commands import plot as commands
-from postproc.figures import circuits, maps, passages
+from postproc.figures import circuits, maps, passages, style
 from postproc.reading import results_file
 from postproc.reading.grid import selected
 from postproc.reading.points import by_point, exactly
@@ -318,7 +318,7 @@ def test_lifetimes_of_other_widths_and_thresholds_are_told_apart(
     at = head.split().index("w'")
     assert [line.split()[at] for line in lines] == ["0.01", "0.05"] * 3
     assert [axes.get_title("left") for axes in figure.axes] == [
-        f"$T = {threshold}$, $l = 1$, $w' = {width}$"
+        f"$T = {threshold}$, $\\ell = 1$, $w' = {width}$"
         for threshold in (2, 4, 40) for width in (0.01, 0.05)
     ]  # fmt: skip
 
@@ -430,6 +430,8 @@ def test_more_series_than_colours_look_different(tmp_path: Path) -> None:
     lines = [one.lines[0] for one in plot.curves(postproc.open_results(path), variable="chi",
              ax=Figure().add_subplot())]  # fmt: skip
     assert len({(one.get_color(), one.get_marker()) for one in lines}) == len(lines) == 14
+    with pytest.raises(InputError, match="at most 28 entries in its legend, here are 30"):
+        style.legend_above(Figure(), [lines[0]] * 30, ["one"] * 30, 4)
     scan = {"threshold": [1, 2], "channel2_width": [0.01, 0.010000001], "replicas": 1}
     path = results_of(tmp_path / "fine.h5", scan=scan, run=SHORT)
     drawn = plot.curves(postproc.open_results(path), variable="chi", ax=Figure().add_subplot())
