@@ -32,7 +32,7 @@ def test_lifetimes_are_measured_and_drawn(
     assert all(math.isnan(life.low) for life in found[1::2])
     assert capsys.readouterr().out.count("at least") == 2
     (axes,) = made.axes
-    assert axes.get_title("left") == "$T = 18$, $l = 1$"
+    assert axes.get_title("left") == "$T = 18$, $\\ell = 1$"
     assert (axes.get_xlabel(), axes.get_ylabel()) == ("$N$", "lifetime  (length / $v$)")
     assert axes.get_yscale() == "log"
     assert axes.get_ylim()[0] < min(life.time for life in found)
