@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 import subprocess
 import sys
@@ -123,6 +124,19 @@ def test_a_library_that_is_there_is_not_missing_because_mpi_is(tools: Path) -> N
     said = switches(tools, "missing").stdout
     assert "mpi_f08" in said
     assert "libcrypto" not in said
+
+
+def test_another_program_called_fpm_is_not_taken(tmp_path: Path) -> None:
+    """One that writes its version in parts is; it was taken for none in half of the calls."""
+    found = []
+    for line in ("echo 1.15.1", "for word in 0.12 fpm of Fortran; do echo $word; sleep 0.01; done"):
+        script(tmp_path / "fpm", line)
+        path = f"{tmp_path}:{ENVIRONMENT['PATH']}"
+        said = subprocess.run(["make", "-C", tmp_path, "-f", ROOT / "Makefile", "-pn", "help"],
+                              env={**ENVIRONMENT, "PATH": path}, text=True, capture_output=True,
+                              check=False).stdout  # fmt: skip
+        found += re.findall("^fpm := (.*)", said, re.M)[-1:]
+    assert found == [f"{tmp_path}/build/venv/bin/fpm", f"{tmp_path}/fpm"]
 
 
 def test_what_does_not_work_is_forgotten(tmp_path: Path) -> None:

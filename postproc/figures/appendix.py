@@ -32,7 +32,7 @@ FILLS = (  # fill styles of app3's marks, one for each theory
     {"fillstyle": "left", "markerfacecoloralt": "white"},
     {"fillstyle": "top", "markerfacecoloralt": "white"},
 )
-MARKS = "so^DvP"  # of each w, in the colours of `style.CYCLE`
+MARKS = "so^DvP"  # the paper's first
 
 
 class Group(NamedTuple):
@@ -67,11 +67,6 @@ def _groups(points: xr.Dataset) -> list[Group]:
     return found
 
 
-def _look(column: int) -> tuple[str, str]:
-    turn, place = divmod(column, len(style.CYCLE))
-    return MARKS[(place + turn) % len(MARKS)], style.CYCLE[place]
-
-
 def _panels(points: xr.Dataset, height: float = 3.3) -> tuple[Figure, list[Axes]]:
     """Return a figure with a panel for each N, titled."""
     numbers = np.unique(points["number"])
@@ -94,7 +89,8 @@ def figure_urn_current(points: xr.Dataset, models: Sequence[Model] = ()) -> Figu
     models = models or defaults(points["circuit"].values)
     made, panels = _panels(points)
     for group in _groups(points):
-        (mark, colour), axes, number = _look(group.column), panels[group.row], group.urn.number
+        mark, colour = style.look(group.column, MARKS)
+        axes, number = panels[group.row], group.urn.number
         label = f"$w = {style.in_math(group.urn.channel1_width, 6)}$" if group.row == 0 else None
         axes.errorbar(group.threshold / number, group.current, group.error, fmt=mark, color=colour,
                       mfc="none", ms=3.6, label=label)  # fmt: skip
@@ -128,7 +124,7 @@ def figure_urn_difference(points: xr.Dataset, models: Sequence[Model] = ()) -> F
     panels = made.subplots(rows, count, squeeze=False, sharex=True, sharey="row")
     beyond, unknown = [], 0
     for group in _groups(points):
-        (mark, colour), row = _look(group.column), group.row
+        (mark, colour), row = style.look(group.column, MARKS), group.row
         fraction = group.threshold / group.urn.number
         for at, (model, fill) in enumerate(zip(models, FILLS, strict=False)):
             expected = group.theory(model, group.threshold)
@@ -188,7 +184,7 @@ def figure_urn_scaled(points: xr.Dataset, models: Sequence[Model] = ()) -> Figur
     axes = made.subplots()
     found, lines = _groups(points), (":", "--", "-.")
     for group in found:
-        (mark, colour), number = _look(group.column), group.urn.number
+        (mark, colour), number = style.look(group.column, MARKS), group.urn.number
         axes.errorbar(
             group.threshold / number, group.current / number, group.error / number, fmt=mark,
             color=colour, mfc=colour if group.row == found[-1].row else "white", ms=3.6,

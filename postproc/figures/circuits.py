@@ -50,8 +50,8 @@ if TYPE_CHECKING:
 
     Floats = NDArray[np.float64]
 
-MARKS = ("o", "s", "^", "D", "v", "P")
 PARAMETERS = ("number", "threshold", "channel1_width", "channel2_width")  # in titles
+MARKS = "os^DvP"  # the paper's first
 MOST = 6  # points in a figure against time
 HEAD = 13.0  # characters above a panel of flows, per inch of its width
 STEPS = 400  # places along the time axis
@@ -301,8 +301,7 @@ def draw_curves(
     theories = _theory_looks(models, across)
     drawn, known = [], set()
     for at, (value, part) in enumerate(groups(points, *([other] if other else []))):
-        turn, place = divmod(at, len(style.CYCLE))
-        colour, mark = style.CYCLE[place], MARKS[(place + turn) % len(MARKS)]
+        mark, colour = style.look(at, MARKS)
         group = part.sortby(across)
         places = (group["threshold"] / group["number"] if as_share else group[across]).values
         x, x_error = _means(group, against) if against else (places, None)

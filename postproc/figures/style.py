@@ -98,6 +98,12 @@ def brief(value: float, digits: int = 4) -> str:
     return f"{value + 0.0:.0f}" if whole else f"{value:.{digits}g}"  # no -0
 
 
+def look(at: int, marks: str) -> tuple[str, str]:
+    """Return mark and colour of a series; with six marks those of the first 36 differ."""
+    turn, place = divmod(at, len(CYCLE))
+    return marks[(place + turn) % len(marks)], CYCLE[place]
+
+
 def digits_apart(values: ArrayLike, least: int) -> int:
     """Return the fewest digits, not below `least`, at which different values look different."""
     different, digits = np.unique(values), least

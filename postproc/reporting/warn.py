@@ -127,8 +127,8 @@ def explanations(points: xr.Dataset) -> list[str]:
             f"At {two} of {count} points the replicas fall into two "
             "states. A mean of both would be a third, so none is shown."
         )
-    excess, error = _excess(points)
-    above = excess[excess > np.maximum(EXCESS, error)]  # none whose error is not known
+    excess, bound = _excess(points)
+    above = excess[excess > bound]  # none whose error is not known
     if above.size:
         found.append(
             f"At {above.size} of {count} points the net current is more than chi accounts "
@@ -180,10 +180,10 @@ def _of_replicas(point: xr.Dataset) -> list[str]:
 
 
 def _excess(points: xr.Dataset) -> Floats:
-    """Return the relative excess of net currents over those that chi explains, and its uncertainty.
+    """Return the relative excess of net currents over those that chi explains, and its bound.
 
     Shape (2, point). The latter are from the conductance of well mixed urns; NaN if not known. An
-    excess above its uncertainty is `UNLIKELY`, by Student's t.
+    excess above its bound is larger than `EXCESS`, and `UNLIKELY` by Student's t.
     """
     chi, (current, error) = means(points, "chi")[0], means(points, "polarised_current")
     explained = [
@@ -195,16 +195,15 @@ def _excess(points: xr.Dataset) -> Floats:
     expected = np.where(np.array(explained) > 0.0, explained, math.nan)
     replicas = points["complete"].sum("replica").values
     limit = stats.t.isf(UNLIKELY, np.where(replicas > 1, replicas - 1, FREEDOM))
-    return np.array([current / expected - 1.0, limit * error / expected])
+    return np.array([current / expected - 1.0, np.maximum(EXCESS, limit * error / expected)])
 
 
-def _of_current(circuit: Circuit, chi: float, excess: float, error: float) -> list[str]:
+def _of_current(circuit: Circuit, chi: float, excess: float, bound: float) -> list[str]:
     """Compare the net current with the one that chi and memory of the urns, discs, explain."""
-    least = np.maximum(EXCESS, error)
-    if not excess > least or circuit.outline is not None:  # or its error is not known
+    if not excess > bound or circuit.outline is not None:  # or its error is not known
         return []
     most = memory_factor(circuit, chi) - 1.0  # takes up to half a second
-    if not excess - most > least:
+    if not excess - most > bound:
         return []
     return [
         f"the net current is {100.0 * excess:.0f} % more than the spread accounts for, and memory "

@@ -445,12 +445,12 @@ def test_circulation_explains_a_quarter_of_a_current() -> None:
 
 
 def test_of_two_replicas_chance_is_no_excess_of_the_current(tmp_path: Path) -> None:
-    """Five standard errors are of 31 replicas; two are so far off in one of eight cases."""
+    """The mean of two is off by more than five standard errors in one of eight cases."""
     path = results_of(tmp_path / "run.h5", scan={"channel2_width": 0.01, "threshold": 7},
                       output={"series_interval": 0.0, "snapshot_times": None})  # fmt: skip
     with edited(path) as file:
         file["chi"][:], file["chi_error"][:] = 0.9, 1e-3
-        file["polarised_current"][:] = [1.2, 1.3]
+        file["polarised_current"][:] = [1.27, 1.33]
     assert not [one for one in warn.warnings(points_of(path)) if "the net current is" in one]
 
 
